@@ -172,7 +172,7 @@ def state_of(found: Adjustment) -> dict[str, object]:
     recording = found.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
-        "left_out": int(found.is_rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
+        "left_out": int(found.is_rejected_reading.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
         "outliers_w": len(found.flagged_readings()),
         "outliers_tau": len(found.flagged_readings(uses_estimated_noise=True)),
     }  # fmt: skip
@@ -181,7 +181,7 @@ def state_of(found: Adjustment) -> dict[str, object]:
 def what_does_not_fit(found: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
-    for i, j in np.argwhere(found.is_rejected):
+    for i, j in np.argwhere(found.is_rejected_reading):
         miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
         rows.append({
             "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
@@ -210,7 +210,7 @@ def ring(out: Path) -> None:
     recording = read(RECORDINGS / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
     left = np.full(space.is_used_reading.shape, np.nan)
-    left[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())]
+    left[space.is_used_reading] = space.whitened_residuals[: int(space.is_used_reading.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):

@@ -190,7 +190,7 @@ def index(out: Path) -> None:
         recording = snooped(epoch(name, found))[0]
         pairs = two_face_pairs(recording)
         station = recording.station[pairs.rows[:, 0]]
-        design = [-1.0 / pairs.front_face_readings[:, 0]]
+        design = [-1.0 / pairs.mean_front_face_readings[:, 0]]
         for s in (0, 1):
             own = station == s
             order = np.zeros(len(pairs))

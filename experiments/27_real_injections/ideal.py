@@ -111,7 +111,7 @@ class Observer:
         """The observer that has found the causes of the list in the recording as it is, and estimates them too."""
         observer = self
         for _ in range(MOST_BACKGROUND):
-            opinion = observer.opinion(observer.space.residuals)
+            opinion = observer.opinion(observer.space.whitened_residuals)
             if opinion is None:
                 break
             observer = Observer(observer.space.with_effects([opinion.cause]), self.instances)
@@ -152,7 +152,7 @@ def asked(network: Row, settings: Row) -> list[Row]:
         signal = space.project(space.whiten(change[:, :, None])[:, 0])
         noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.n_equations)
         for name, observer in observers.items():
-            residual = signal + (space.project(noise) if name == "simulated" else space.residuals)
+            residual = signal + (space.project(noise) if name == "simulated" else space.whitened_residuals)
             opinion = observer.opinion(residual)
             is_placed = opinion is not None and placed(truth.injected_effects[0].effect, opinion.cause, weighted)
             row |= {f"{name}_placed": is_placed, f"{name}_named": is_placed and opinion.kind == kind}

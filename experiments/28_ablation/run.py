@@ -45,7 +45,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(sightings, instruments))
     cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(sightings, instruments))
     values, chance, _ = cards.screen(probe)
-    own = np.append(bank.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
+    own = np.append(bank.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.log_evidence_by_family(probe.simulated_residuals, space.redundancy)
     share, families = log_prior_of_each_explanation("named", len(cards.families)), cards.log_evidence_by_family(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],

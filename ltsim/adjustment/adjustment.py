@@ -92,7 +92,7 @@ class Adjustment(Result):
             f"{self.construction.name}, {self.construction.n_parameters} instrument parameters, "
             f"{len(self.effects)} further effects; {self.solution.status.value}",
             f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
-            f"{int(self.is_rejected.sum())} readings left out",
+            f"{int(self.is_rejected_reading.sum())} readings left out",
         ]
 
     @classmethod
@@ -177,8 +177,8 @@ class Adjustment(Result):
     def _missing_solution_sentence(self) -> str:
         """Sentence on the cause of a missing solution (no scale, collinear common targets); empty for other causes."""
         recording, problem = self.recording, self.problem
-        held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
-        differences = problem.difference_rows.declared_components[:, :2].any()
+        held = problem.control_rows.is_declared_coordinate[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
+        differences = problem.difference_rows.is_declared_coordinate[:, :2].any()
         lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
             cure = "declare approximate coordinates of two targets of the datum"
@@ -249,7 +249,7 @@ class Adjustment(Result):
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
-    def is_rejected(self) -> Bools:
+    def is_rejected_reading(self) -> Bools:
         """Flags (n, 3) of the rejected readings of n pointings; False for readings to undetermined targets."""
         problem = replace(self.problem, is_used_reading=self.recording.is_usable)
         return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
@@ -299,12 +299,12 @@ class Adjustment(Result):
         response = self.factorised_normals.multiply_by_covariance(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
-    def covariances_of_sets(self, columns: Ints) -> Floats:
+    def covariance_submatrices(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
 
         Targets that are eliminated from the normal equations are not permitted.
         """
-        covariance = self.factorised_normals.covariances_of_sets(columns)
+        covariance = self.factorised_normals.covariance_submatrices(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
@@ -322,17 +322,17 @@ class Adjustment(Result):
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) [SI] of the p parameters of the instrument with the index `instrument`."""
-        return self.covariances_of_sets(self.problem.unknowns.instrument_columns[[instrument]])[0]
+        return self.covariance_submatrices(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
     def covariance_of_all_instruments(self) -> Floats:
         """Covariance (I p, I p) [SI] of the p parameters of each of I instruments, instrument by instrument."""
-        return self.covariances_of_sets(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
+        return self.covariance_submatrices(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
     def effect_covariance(self) -> Floats:
         """Covariance (q, q) of the q parameters of all additional effects [SI]."""
-        return self.covariances_of_sets(self.problem.unknowns.effect_columns[None])[0]
+        return self.covariance_submatrices(self.problem.unknowns.effect_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -340,7 +340,7 @@ class Adjustment(Result):
 
         They are NaN for components that the readings do not determine, and 0 for components that define the frame.
         """
-        covariance = self.covariances_of_sets(self.problem.unknowns.pose_columns)
+        covariance = self.covariance_submatrices(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations
         if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
             directions = self.problem.datum_directions(self.state)
@@ -349,7 +349,7 @@ class Adjustment(Result):
         held = self.problem.undetermined_unknowns.fixed_pose_components
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
         over = self.problem.marks.target_indices
-        flat = np.flatnonzero((over >= 0) & self.is_height_undetermined[over])
+        flat = np.flatnonzero((over >= 0) & self.is_height_undetermined_target[over])
         covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
@@ -359,19 +359,20 @@ class Adjustment(Result):
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_retained = unknowns.target_columns[:, 0] < unknowns.n_retained
-        covariance[is_retained] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_retained])
-        blocks = self.factorised_normals.block_covariance()
+        covariance[is_retained] = self.factorised_normals.covariance_submatrices(unknowns.target_columns[is_retained])
+        blocks = self.factorised_normals.eliminated_covariances()
         covariance[~is_retained] = blocks[(unknowns.target_columns[~is_retained][:, 0] - unknowns.n_retained) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate fixed by the datum has variance 0, up to rounding
             covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
         covariance[self.problem.undetermined_unknowns.is_unmeasured_target] = np.nan
-        covariance[self.is_height_undetermined, 2] = covariance[self.is_height_undetermined, :, 2] = np.nan
+        flat = self.is_height_undetermined_target
+        covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
     @cached_property
-    def is_height_undetermined(self) -> Bools:
+    def is_height_undetermined_target(self) -> Bools:
         """Flags (T,), True for those of the T targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).plan_only for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))

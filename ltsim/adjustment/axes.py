@@ -58,7 +58,7 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
     _require_same_shape(network_points, declared_points, source_text)
     if recording.setup.curved:
         recording = _with_plumb_lines(recording, common_names, declared_points)
-    return _with_datum(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
+    return _with_datum_points(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
 
 
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
@@ -132,7 +132,7 @@ def with_axes_from_three_targets(
         xy_plane_target: np.array([cosine, sine, 0.0]),
     }
     datum_axes: dict[str, Axes] = {origin_target: "xyz", x_axis_target: "yz", xy_plane_target: "z"}
-    aligned = _with_datum(recording, places, datum_axes)
+    aligned = _with_datum_points(recording, places, datum_axes)
     note = f"coordinates in the axes of {origin_target}, {x_axis_target} and {xy_plane_target}"
     return aligned.replace(notes=(*aligned.notes, note))
 
@@ -208,7 +208,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
     raise RecordError(message, file=source)
 
 
-def _with_datum(
+def _with_datum_points(
     recording: Recording,
     points_by_target: Mapping[str, Floats],
     axes_by_target: Mapping[str, Axes] = NO_RESTRICTED_AXES,

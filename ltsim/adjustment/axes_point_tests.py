@@ -119,7 +119,7 @@ def _axes_point_test(
     return ReferenceTest(
         kind="axes",
         name=target_name,
-        declared_components="xyz",
+        declared_axes="xyz",
         sigma=np.sqrt(np.diag(covariance) + variance_factor),
         residual=misclosure,
         error=turned @ error,

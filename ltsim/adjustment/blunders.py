@@ -52,12 +52,12 @@ class IdentifiedBlunder:
     """Names of the targets concerned; empty for a blunder in all pointings of a station."""
     observables: tuple[str, ...]
     """Names of the wrong observables; empty for all three."""
-    size: float
+    displacement: float
     """Displacement [m] of the measured point by the blunder."""
     sentence: str
     """Sentence for the user on the blunder."""
-    sigma: float = 0.0
-    """Standard deviation of the size [m]; 0 if the network does not determine it."""
+    displacement_sigma: float = 0.0
+    """Standard deviation of `displacement` [m]; 0 if the network does not determine it."""
 
 
 BlunderWithCorrection = tuple[IdentifiedBlunder, Floats, Ints]
@@ -84,7 +84,7 @@ def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
     return corrections
 
 
-def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+def _network_points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of k pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local_points = adjustment.construction.points_from_readings(
@@ -96,10 +96,10 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
     return network_points if lift is None else network_points - lift[rows]
 
 
-def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+def _distances_from_targets(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Distances (k,) [m] of the measured points from their targets, for readings (k, 3) of k pointings `rows` (k,)."""
     goal = adjustment.state.target_points[adjustment.recording.target[rows]]
-    return np.asarray(np.linalg.norm(_points_from_readings(adjustment, readings, rows) - goal, axis=1))
+    return np.asarray(np.linalg.norm(_network_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
@@ -112,7 +112,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Blunde
     if not len(indices):
         return
     gaps = np.linalg.norm(
-        _points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
+        _network_points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
     )
     nearest_targets = np.argmin(gaps, axis=1)
     lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
@@ -147,7 +147,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
     if not len(indices):
         return
     point_deviations = (
-        _points_from_readings(adjustment, recording.readings[indices], indices)
+        _network_points_from_readings(adjustment, recording.readings[indices], indices)
         - adjustment.state.target_points[recording.target[indices]]
     )
     plumb_lines = plumb_directions(recording)[recording.station[indices]]
@@ -191,11 +191,11 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
-        at = at[_target_distances(adjustment, readings[at], at) < MAX_TRACKER_ERROR]
+        at = at[_distances_from_targets(adjustment, readings[at], at) < MAX_TRACKER_ERROR]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
-            size = float(_target_distances(adjustment, recording.readings[at], at).max())
+            size = float(_distances_from_targets(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
             sentence = f"{len(at)} pointings at station {where} contain {slip.description}."
             observables = tuple(OBSERVABLES[c] for c in slip.changed_columns)

@@ -44,7 +44,7 @@ class MarkOccupation:
 
 
 @dataclass(frozen=True)
-class CentringErrors:
+class CentringErrorEstimates:
     """Centring errors of k occupations, and the global test of the adjustment with them."""
 
     adjustment_without_centring: Adjustment
@@ -54,11 +54,11 @@ class CentringErrors:
     shifts: Floats
     """Shifts of the k occupations [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
     heights."""
-    covariance: Floats
+    shift_covariances: Floats
     """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3) or in plan (k, 2, 2)."""
-    chi2: float
+    chi2_with_centring: float
     """Chi-square of the adjustment with the centring errors."""
-    dof: int
+    dof_with_centring: int
     """Degrees of freedom of the adjustment with the centring errors."""
     noisy_targets: tuple[str, ...]
     """Names of the targets whose readings are weighted by their estimated noise."""
@@ -67,7 +67,7 @@ class CentringErrors:
     def shift_lengths_and_sigmas(self) -> list[tuple[float, float]]:
         """Length of each shift and its standard deviation, both in metres."""
         lengths = np.linalg.norm(self.shifts, axis=1)
-        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.covariance, self.shifts)) / lengths
+        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.shift_covariances, self.shifts)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
 
     @property
@@ -92,7 +92,7 @@ class CentringErrors:
         )
         before, after = (
             f"{self.adjustment_without_centring.chi2:.1f}/{self.adjustment_without_centring.dof}",
-            f"{self.chi2:.1f}/{self.dof}",
+            f"{self.chi2_with_centring:.1f}/{self.dof_with_centring}",
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
@@ -122,7 +122,7 @@ def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ..
     return all_occupations
 
 
-def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
+def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates | None:
     """Centring errors of a network; None if no shift is significant, or if the global test passes without shifts."""
     if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
@@ -153,7 +153,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
             or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_TEST_LEVEL
         ):
             break
-        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.whitened_residuals)[0]) < height_sigma:
             break
         space, chi2, dof = space.with_design_columns(shifts[best]), chi2 - drop, dof - rank
         occupations.append(best)
@@ -161,7 +161,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    displacements = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
+    displacements = (cofactor @ (columns.T @ whole.whitened_residuals)).reshape(-1, axes)
     occupation_indices = range(len(occupations))
     spread = (
         cofactor.reshape(len(occupation_indices), axes, len(occupation_indices), axes)[
@@ -170,7 +170,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         * chi2
         / dof
     )
-    return CentringErrors(
+    return CentringErrorEstimates(
         adjustment, tuple(candidates[i] for i in occupations), displacements, spread, chi2, dof, noisy
     )
 

@@ -232,7 +232,7 @@ def rms_displacements_by_shared_air_error(
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(
-        ~adjustment.problem.undetermined_unknowns.is_unmeasured_target & ~adjustment.is_height_undetermined
+        ~adjustment.problem.undetermined_unknowns.is_unmeasured_target & ~adjustment.is_height_undetermined_target
     )
     columns, (shifts, _) = (
         adjustment.problem.unknowns.target_columns[targets].ravel(),

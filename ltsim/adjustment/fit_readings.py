@@ -43,7 +43,7 @@ class FitReadings:
         return int(np.isfinite(self.readings).sum())
 
     @property
-    def azimuths_only(self) -> FitReadings:
+    def azimuth_subset(self) -> FitReadings:
         """Readings in which only the azimuths are measured."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 

@@ -31,7 +31,7 @@ MAX_STARTS = 400
 """Largest number of start values of a point, limited because of the computing time."""
 EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
-START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
+START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
 """Smallest number of targets of a network of ranges only: `multilaterate` needs nine differences to one target."""
@@ -193,7 +193,7 @@ def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Float
         if np.isfinite(reading).any():
             ways = (
                 [value] if np.isfinite(value) else guess
-                for value, guess in zip(reading, START_COORDINATE_GRIDS, strict=True)
+                for value, guess in zip(reading, START_POLAR_COORDINATE_GRIDS, strict=True)
             )
             starts.append(from_polar(np.array(list(product(*ways)))) @ turn.T + place)
     return np.concatenate(starts)[:MAX_STARTS]
@@ -285,7 +285,7 @@ def fit_horizontal_network(
     has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
-    shape = _xy_shape(first, second, bearing, along, length, len(used))
+    shape = _complex_xy_coordinates(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
     places, is_in_frame = np.full(control_coordinates.shape, np.nan), bool(has_control.sum() > 1)
@@ -360,7 +360,7 @@ def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_
     return np.concatenate([design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))])
 
 
-def _xy_shape(
+def _complex_xy_coordinates(
     start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.

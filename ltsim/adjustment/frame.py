@@ -353,7 +353,7 @@ class StationTargetPairs:
         """Slice of the pairs of the station with this index."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
-    def values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
+    def last_values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
         """Values (m, 3) of m pairs: for each pair that of its last pointing, from values (n, 3) of n pointings."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices

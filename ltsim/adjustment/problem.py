@@ -134,7 +134,7 @@ class NetworkProblem(NetworkRows):
         problem = replace(self, prior=prior).with_model(replace(self.model, construction=construction))
         return problem, replace(state, instrument_parameters=parameters)
 
-    def with_other_positions(self, model: MeasurementModel) -> NetworkProblem:
+    def with_positions_of_model(self, model: MeasurementModel) -> NetworkProblem:
         """Copy of the problem with the station and target positions of `model`.
 
         The set-up and the pointings of `model` are the same; the order of the pointings may differ.
@@ -155,11 +155,13 @@ class NetworkProblem(NetworkRows):
         structure, stations = self.undetermined_unknowns, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
         stands[structure.stations_without_readings], heights[structure.height_undetermined_stations] = True, True
-        is_undetermined = np.concatenate([is_undetermined_target, stands])[self.difference_rows.ends].any(axis=0)
-        open_ = np.concatenate([structure.is_height_undetermined_target, heights])[self.difference_rows.ends].any(
-            axis=0
-        )
-        return np.asarray(is_undetermined | (open_ & self.difference_rows.declared_components[:, 2]))
+        is_undetermined = np.concatenate([is_undetermined_target, stands])[
+            self.difference_rows.start_and_end_indices
+        ].any(axis=0)
+        open_ = np.concatenate([structure.is_height_undetermined_target, heights])[
+            self.difference_rows.start_and_end_indices
+        ].any(axis=0)
+        return np.asarray(is_undetermined | (open_ & self.difference_rows.is_declared_coordinate[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted `readings` (n, 3) [m, rad, rad] of n pointings; NaN if not measured.
@@ -224,7 +226,7 @@ class NetworkProblem(NetworkRows):
         )
         del prediction  # the prediction takes as much memory as the design matrix
         design = self._sparsity_pattern.fill(values)
-        if self.gauge_rows.correlation_root is not None:
+        if self.gauge_rows.correlation_cholesky_factor is not None:
             design = self._decorrelate_lengths(design)
         return BlockSystem(design, residual, self.unknowns.n_retained)
 
@@ -262,17 +264,17 @@ class NetworkProblem(NetworkRows):
             np.concatenate(target_columns, axis=1),
             np.repeat(
                 at.target_columns[self.control_rows.point_indices],
-                self.control_rows.declared_components.sum(axis=1),
+                self.control_rows.is_declared_coordinate.sum(axis=1),
                 axis=0,
             ),
             np.repeat(
                 at.pose_columns[self.control_rows_of_marks.point_indices, :3],
-                self.control_rows_of_marks.declared_components.sum(axis=1),
+                self.control_rows_of_marks.is_declared_coordinate.sum(axis=1),
                 axis=0,
             ),
             np.repeat(
-                at.position_columns[self.difference_rows.ends.T].reshape(-1, 6),
-                self.difference_rows.declared_components.sum(axis=1),
+                at.position_columns[self.difference_rows.start_and_end_indices.T].reshape(-1, 6),
+                self.difference_rows.is_declared_coordinate.sum(axis=1),
                 axis=0,
             ),
             np.repeat(at.pose_columns[self.level_rows.station_indices, 3:], 2, axis=0),

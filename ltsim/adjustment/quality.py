@@ -44,7 +44,7 @@ TESTED_UNIT_ERRORS = (
 because any shrunk network seems to fit."""
 
 
-def require_usable(adjustment: Adjustment) -> None:
+def require_usable_adjustment(adjustment: Adjustment) -> None:
     """Check that an adjustment is usable: units and known points are consistent, and most pointings are in use.
 
     Raises NetworkError for inconsistent observations, and ConvergenceError if the adjustment has no solution.
@@ -88,15 +88,15 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     if not (alone.solution.has_converged and MIN_MISFIT_RATIO * alone.sigma0 < adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.target_points[control.point_indices] - control.declared_points).max())
-    is_complete = control.declared_components.all(axis=1)
+    is_complete = control.is_declared_coordinate.all(axis=1)
     points = alone.state.target_points[control.point_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest difference {gap:.3g} mm): {_control_error_cause(points, control.declared_points[is_complete])}"
+        f"largest difference {gap:.3g} mm): {_control_error_cause_text(points, control.declared_points[is_complete])}"
     )
 
 
-def _control_error_cause(network_points: Floats, control_points: Floats) -> str:
+def _control_error_cause_text(network_points: Floats, control_points: Floats) -> str:
     """Text on the usual cause of differences of k control points (k, 3) [m] from network points (k, 3) [m].
 
     The cause is another scale, a mirror image, equal coordinates, or single wrong points.

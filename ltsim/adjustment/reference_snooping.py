@@ -107,7 +107,7 @@ def snoop_references(
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
     weak = [
-        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_normalised_error(others[test.kind])
+        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _rms_normalised_error(others[test.kind])
     ]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
@@ -160,7 +160,7 @@ def _contradicting_group(
     return ()
 
 
-def _typical_normalised_error(tests: Sequence[ReferenceTest]) -> float:
+def _rms_normalised_error(tests: Sequence[ReferenceTest]) -> float:
     """Root-mean-square normalised error of tested reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 

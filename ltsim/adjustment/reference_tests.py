@@ -231,7 +231,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
     return ReferenceTest(
         value.kind,
         value.name,
-        value.declared_components,
+        value.declared_axes,
         value.sigma,
         value.residual,
         eigen_errors @ (eigen_products / redundancies),

@@ -17,7 +17,7 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 """Kind of reference value."""
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
 """Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
-REMOVING_UPDATES_BY_KIND: dict[str, dict[str, object]] = {
+STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
@@ -33,7 +33,7 @@ class ReferenceValue:
     """Kind of the reference value."""
     name: str
     """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
-    declared_components: str
+    declared_axes: str
     """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
     sigma: Floats
     """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
@@ -79,7 +79,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
     )
     for kind, controls, called, under, here in by_name:
         for i, place in enumerate(controls.point_indices.tolist()):
-            axes = controls.declared_components[i]
+            axes = controls.is_declared_coordinate[i]
             root = controls.whitening_matrices[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             given_axes = "".join(axis for axis, is_axis in zip("xyz", axes, strict=True) if is_axis)
@@ -149,8 +149,8 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif reference_value.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
-    elif reference_value.kind in REMOVING_UPDATES_BY_KIND:
-        cleared = REMOVING_UPDATES_BY_KIND[reference_value.kind]
+    elif reference_value.kind in STATION_UPDATES_REMOVING_REFERENCE:
+        cleared = STATION_UPDATES_REMOVING_REFERENCE[reference_value.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}

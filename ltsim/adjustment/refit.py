@@ -18,7 +18,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 SHAPE_CHANGE_TOLERANCE = 1e-5
 """Relative change of a shape constant for numerical derivatives, and the change below which the iteration ends. The
@@ -188,7 +188,7 @@ def refit_with_effects(
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
         fitted = joint = adjust_function(effects=current, start_state=start_state)
     linearised_constants: list[list[LinearisedShapeConstant]] = [[] for _ in current]
-    for _ in range(MAX_ALTERNATIONS if any(type(e).shape_parameters for e in current) else 0):
+    for _ in range(MAX_DECISION_CHANGES if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
         each = zip(current, values, fixed_names, strict=True)
         linearised_constants = [

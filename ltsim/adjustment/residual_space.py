@@ -34,7 +34,7 @@ class ResidualSpace:
     projector: ResidualProjector
     """Projector onto the orthogonal complement of the whitened design matrix, including columns of additional
     effects."""
-    residuals: Floats
+    whitened_residuals: Floats
     """Whitened residuals of the m equations of the adjustment, (m,)."""
     adjustment: Adjustment
     """Adjustment to which the residuals belong."""
@@ -65,7 +65,7 @@ class ResidualSpace:
     @property
     def n_equations(self) -> int:
         """Number m of equations: observations, priors and datum."""
-        return len(self.residuals)
+        return len(self.whitened_residuals)
 
     @cached_property
     def redundancy(self) -> Floats:
@@ -121,7 +121,7 @@ class ResidualSpace:
 
         The columns (m, q) are the whitened changes of m equations per unit of q parameters.
         """
-        scores = self._projected_basis(design_columns).T @ self.residuals
+        scores = self._projected_basis(design_columns).T @ self.whitened_residuals
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
@@ -171,7 +171,7 @@ class ResidualSpace:
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
         """Residual space of the adjustment if q parameters with design columns (m, q) for m equations are added."""
         basis = self._projected_basis(design_columns)
-        residual = self.residuals - basis @ (basis.T @ self.residuals)
+        residual = self.whitened_residuals - basis @ (basis.T @ self.whitened_residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:

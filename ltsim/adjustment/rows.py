@@ -34,7 +34,7 @@ class GaugeRows(ReferenceLengths):
         return np.where(self.is_unweighted, np.inf, super().sigma)
 
     @cached_property
-    def correlation_root(self) -> Floats | None:
+    def correlation_cholesky_factor(self) -> Floats | None:
         """Lower Cholesky factor (g, g) of the correlation matrix of g lengths; None for uncorrelated lengths."""
         if not self.shared_error_changes:
             return None
@@ -44,9 +44,10 @@ class GaugeRows(ReferenceLengths):
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
 
     @property
-    def covariance_root(self) -> Floats:
+    def covariance_cholesky_factor(self) -> Floats:
         """Cholesky factor (g, g) [m] of the covariance of the g lengths; `decorrelate` multiplies by its inverse."""
-        return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
+        factor = self.correlation_cholesky_factor
+        return np.diag(self.sigma) if factor is None else self.sigma[:, None] * factor
 
     def decorrelate(self, length_changes: Floats) -> Floats:
         """Changes of g lengths [m], (g,) or for q parameters (g, q), whitened: with independent unit errors."""
@@ -57,8 +58,8 @@ class GaugeRows(ReferenceLengths):
         """Changes of g lengths in standard deviations, (g,) or for q parameters (g, q), without their correlations."""
         return (
             scaled_changes
-            if self.correlation_root is None
-            else scipy.linalg.solve_triangular(self.correlation_root, scaled_changes, lower=True)
+            if self.correlation_cholesky_factor is None
+            else scipy.linalg.solve_triangular(self.correlation_cholesky_factor, scaled_changes, lower=True)
         )
 
     def __len__(self) -> int:
@@ -86,7 +87,7 @@ class ControlRows:
     """Index of the target, or of the station, of each of k known points, (k,)."""
     declared_points: Floats
     """Known coordinates of k points, (k, 3) [m]; values of unknown coordinates have no meaning."""
-    declared_components: Bools
+    is_declared_coordinate: Bools
     """Flags (k, 3), True for those coordinates of k points that are known."""
     whitening_matrices: Floats
     """Matrices R that whiten the misclosures of k points, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the
@@ -128,12 +129,12 @@ class ControlRows:
     @property
     def n_coordinates(self) -> int:
         """Number c of known coordinates of all points, one equation each."""
-        return int(self.declared_components.sum())
+        return int(self.is_declared_coordinate.sum())
 
     def with_min_sigma(self, min_sigma: float) -> ControlRows:
         """Copy of the equations, in which standard deviations below `min_sigma` [m] are increased to this value."""
         roots = self.whitening_matrices.copy()
-        for i, axes in enumerate(self.declared_components):
+        for i, axes in enumerate(self.is_declared_coordinate):
             at = np.ix_(axes, axes)
             inverse = np.linalg.inv(roots[i][at])
             covariance = inverse @ inverse.T
@@ -141,30 +142,30 @@ class ControlRows:
                 roots[i][at] = np.linalg.inv(np.linalg.cholesky(covariance + min_sigma**2 * np.eye(len(covariance))))
         return self if np.array_equal(roots, self.whitening_matrices) else replace(self, whitening_matrices=roots)
 
-    def whitened_residuals(self, places: Floats) -> Floats:
-        """Whitened residuals (c,) of the c known coordinates, for the adjusted k points `places` (k, 3) [m]."""
-        gap = np.where(self.declared_components, self.declared_points - places, 0.0)
-        return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.declared_components]
+    def whitened_residuals(self, adjusted_points: Floats) -> Floats:
+        """Whitened residuals (c,) of the c known coordinates, for k `adjusted_points` (k, 3) [m]."""
+        gap = np.where(self.is_declared_coordinate, self.declared_points - adjusted_points, 0.0)
+        return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.is_declared_coordinate]
 
     def derivatives(self) -> Floats:
         """Derivatives (c, 3) of the c known coordinates, whitened, with respect to the coordinates of their points."""
-        return self.whitening_matrices[self.declared_components]
+        return self.whitening_matrices[self.is_declared_coordinate]
 
 
-def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
+def _declared_coordinates(entries: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
     """Coordinates (k, 3) [m] of k points or differences, flags (k, 3) of known ones, whitening matrices (k, 3, 3)."""
-    axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in places], dtype=bool).reshape(-1, 3)
+    axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in entries], dtype=bool).reshape(-1, 3)
     roots = np.array(
-        [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(places, axes, strict=True)]
+        [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(entries, axes, strict=True)]
     ).reshape(-1, 3, 3)
-    return np.array([entry.known_mm for entry in places], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
+    return np.array([entry.known_mm for entry in entries], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
 
 
-def _whitening_matrix(target: Target | ReferenceDifference, declared_components: Bools) -> Floats:
+def _whitening_matrix(target: Target | ReferenceDifference, is_declared_coordinate: Bools) -> Floats:
     """Whitening matrix (3, 3) [1 / m] of known coordinates, a root of their inverse covariance; 0 if not known."""
     if target.known_covariance_mm2 is None:
-        return np.diag(declared_components / (target.known_sigma_mm * MILLIMETRE))
-    at, root = np.ix_(declared_components, declared_components), np.zeros((3, 3))
+        return np.diag(is_declared_coordinate / (target.known_sigma_mm * MILLIMETRE))
+    at, root = np.ix_(is_declared_coordinate, is_declared_coordinate), np.zeros((3, 3))
     covariance = symmetric_matrix(target.known_covariance_mm2)[at] * MILLIMETRE**2
     root[at] = np.linalg.inv(np.linalg.cholesky(covariance))
     return root
@@ -216,7 +217,7 @@ class DifferenceRows(ControlRows):
         )
 
     @property
-    def ends(self) -> Ints:
+    def start_and_end_indices(self) -> Ints:
         """Indices (2, k) of start and end of each of k differences in the list of targets, instruments and origin."""
         return np.stack([self.start_indices, self.point_indices])
 
@@ -225,7 +226,7 @@ class DifferenceRows(ControlRows):
         return DifferenceRows(
             self.point_indices[mask],
             self.declared_points[mask],
-            self.declared_components[mask],
+            self.is_declared_coordinate[mask],
             self.whitening_matrices[mask],
             self.start_indices[mask],
             self.origin_index,
@@ -239,15 +240,15 @@ class DifferenceRows(ControlRows):
 
     def derivatives(self) -> Floats:
         """Derivatives (c, 6) of c whitened components of differences by start and end point; 0 for the origin."""
-        signs = np.where(self.ends == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
-        return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
+        signs = np.where(self.start_and_end_indices == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
+        return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.is_declared_coordinate]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
         """Flags (T + S + 1,) of T targets, S instruments and the origin, True if the height remains undetermined.
 
         `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
         """
-        is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
+        is_undetermined, ends = is_undetermined.copy(), self.start_and_end_indices[:, self.is_declared_coordinate[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():
             is_undetermined[ends[:, half]] = False
         return is_undetermined
@@ -259,7 +260,7 @@ class DifferenceRows(ControlRows):
         is a known point. A difference between two unknown points depends on the rotation alone.
         """
         tied, size = (
-            (self.ends == self.origin_index).any(axis=0),
+            (self.start_and_end_indices == self.origin_index).any(axis=0),
             np.linalg.norm(self.declared_points, axis=1, keepdims=True),
         )
         place = np.where(self.start_indices == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
@@ -268,7 +269,7 @@ class DifferenceRows(ControlRows):
             -1, 3, 6
         )
         derivatives[~tied, :, :3] = 0.0
-        return derivatives[self.declared_components]
+        return derivatives[self.is_declared_coordinate]
 
 
 @dataclass(frozen=True)
@@ -376,7 +377,7 @@ def free_motions(
     centre = points.mean(axis=0)
     radius = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
     constraint_rows = [
-        rigid_motion_design((group.declared_points - centre) / radius)[group.declared_components.ravel()]
+        rigid_motion_design((group.declared_points - centre) / radius)[group.is_declared_coordinate.ravel()]
         for group in controls
     ]
     if len(differences):

@@ -36,9 +36,9 @@ MIN_GROSS_SIGMAS = 30.0
 `MAX_TRACKER_ERROR` [m], a limit that noise alone exceeds in a large hall.
 """
 MAX_TRACKER_ERROR = 1e-3
-"""Largest displacement [m] of a measured point by errors of a tracker, for ranges up to `MAX_WORKSHOP_RANGE`. A
-pointing with a larger error has a gross error. """
-MAX_WORKSHOP_RANGE = 10.0
+"""Largest displacement [m] of a measured point by errors of a tracker, for ranges up to
+`MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT`. A pointing with a larger error has a gross error. """
+MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
 MIN_SIGMAS_BEYOND_NOISE = 50.0
 """Residual, in declared standard deviations, above which noise is no explanation, even if it is ten times as large as

@@ -17,9 +17,9 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
-    MAX_WORKSHOP_RANGE,
     MIN_FAULTY_FRACTION_OF_GROUP,
     MIN_GROSS_SIGMAS,
+    MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT,
 )
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import iterate_reweighted
@@ -134,7 +134,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.point_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
-    for end in problem.difference_rows.ends:
+    for end in problem.difference_rows.start_and_end_indices:
         rows_at_end = problem.difference_rows.subset(end < count)
         np.add.at(
             normal, end[end < count], np.swapaxes(rows_at_end.whitening_matrices, 1, 2) @ rows_at_end.whitening_matrices
@@ -219,7 +219,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     gap[:, 2] *= range_
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
     limit = np.maximum(
-        MAX_TRACKER_ERROR * np.maximum(1.0, range_ / MAX_WORKSHOP_RANGE),
+        MAX_TRACKER_ERROR * np.maximum(1.0, range_ / MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT),
         MIN_GROSS_SIGMAS * robust_sigma(miss),
     )
     return miss / limit
@@ -282,7 +282,7 @@ def snoop_readings(
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
-        new = _test_rejected_again(problem, reduced_problem, solution, rejected, limit)
+        new = _is_rejected_in_repeated_test(problem, reduced_problem, solution, rejected, limit)
         if np.array_equal(new, rejected):
             return reduced_problem, solution if solution.has_converged else solve(reduced_problem, state)
         if (
@@ -308,7 +308,7 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
     prediction = problem.model.linearise(state)
     readings, system = prediction.readings, problem.linear_system(state, prediction)
     del prediction
-    w, scale, _ = _test_readings(problem, problem, readings, BlockFactor(system))
+    w, scale, _ = _normalised_residuals_and_noise(problem, problem, readings, BlockFactor(system))
     return np.asarray(w > limit * scale)
 
 
@@ -324,10 +324,10 @@ def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bo
 
 def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
     """Absolute residuals (n, 3) of n pointings in standard deviations of the readings; 0 if not measured."""
-    return _absolute_whitened_residuals(problem, problem.model.predict(state))
+    return _absolute_residuals_of_prediction(problem, problem.model.predict(state))
 
 
-def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> Floats:
+def _absolute_residuals_of_prediction(problem: NetworkProblem, readings: Floats) -> Floats:
     """Absolute residuals (n, 3) of n pointings in standard deviations, from predicted `readings`; 0 if unmeasured."""
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
@@ -347,7 +347,7 @@ def prediction_error_sigmas(
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(omitted_rows * response.T, axis=1), 0.0)))
 
 
-def _test_readings(
+def _normalised_residuals_and_noise(
     problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, normal_equations: BlockFactor
 ) -> tuple[Floats, float, Floats]:
     """Absolute normalised residuals (n, 3) of n pointings in `reduced_problem`, noise factor, redundancy (n, 3).
@@ -359,7 +359,7 @@ def _test_readings(
     return np.nan_to_num(np.abs(w)), noise_factor_from_residuals(w, redundancy), redundancy
 
 
-def _test_rejected_again(
+def _is_rejected_in_repeated_test(
     problem: NetworkProblem,
     reduced_problem: NetworkProblem,
     solution: Solution[NetworkState],
@@ -372,7 +372,7 @@ def _test_rejected_again(
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
-    w, scale, redundancy = _test_readings(problem, reduced_problem, readings, solution.factor)
+    w, scale, redundancy = _normalised_residuals_and_noise(problem, reduced_problem, readings, solution.factor)
     new: Bools = (w > limit * scale) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     if new.any():
         new &= w > 0.5 * w.max()
@@ -383,7 +383,7 @@ def _test_rejected_again(
             np.zeros(len(reduced_problem.undetermined_unknowns.is_unmeasured_target), dtype=bool),
         )
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
-        still[out] = _absolute_whitened_residuals(problem, readings)[out] / spread > limit * scale
+        still[out] = _absolute_residuals_of_prediction(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
         is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]

@@ -67,7 +67,7 @@ class NetworkInitialiser:
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = station_target_pairs.values_by_pair(recording, self._readings.sight_vector_offsets)
+        self._pair_offsets = station_target_pairs.last_values_by_pair(recording, self._readings.sight_vector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
@@ -219,7 +219,7 @@ class NetworkInitialiser:
             sight = self._readings.select_rows(rows)
             pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
             if pose is None and level and stand is not None:  # the azimuths alone determine the heading
-                pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], is_levelled=True, position=stand)
+                pose = fit_pose(sight.azimuth_subset, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
                 return True
@@ -274,7 +274,7 @@ class NetworkInitialiser:
 
     def _to_final_frame(self) -> None:
         """Transformation of the network to the declared frame, the floor plan, or the frame of the first station."""
-        self._level_stations()
+        self._rotate_stations_without_angles()
         if self._is_in_frame or not self._is_joined.any() or self._to_declared_frame():
             return
         first = int(np.argmax(self._is_joined))
@@ -293,7 +293,7 @@ class NetworkInitialiser:
         if motion is not None:
             self._transform(*motion)
 
-    def _level_stations(self) -> None:
+    def _rotate_stations_without_angles(self) -> None:
         """Assignment of rotations to stations without angles: upright like other stations, or as on the floor plan."""
         is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0

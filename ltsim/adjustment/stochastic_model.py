@@ -16,7 +16,13 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
+from ltsim.solve.gauss_newton import (
+    MAX_CONVERGENCE_RATIO,
+    MAX_DECISION_CHANGES,
+    MAX_ITERATIONS,
+    Solution,
+    solve,
+)
 
 HUBER_LIMIT = 2.0
 """Residual, in robust standard deviations, above which Huber's weights decrease. The statistical efficiency for normal
@@ -202,7 +208,7 @@ def estimate_variance_components(
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.is_used_reading if reading_mask is None else reading_mask
-    for _ in range(MAX_ALTERNATIONS):
+    for _ in range(MAX_DECISION_CHANGES):
         last_change, last_step = np.zeros(len(factor)), np.zeros(len(factor))
         for _ in range(MAX_ITERATIONS):
             if solution.factor is None:

@@ -66,7 +66,7 @@ class UnknownColumns:
         has_columns = np.ones((stations, 6), dtype=bool)
         has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]
         keep = np.zeros(targets, dtype=bool)
-        difference_ends = differences.ends[differences.ends < targets]
+        difference_ends = differences.start_and_end_indices[differences.start_and_end_indices < targets]
         keep[
             np.concatenate([gauge.first_targets, gauge.second_targets, marks.target_indices[over], difference_ends])
         ] = True
@@ -158,7 +158,7 @@ class UndeterminedUnknowns:
     """Flags (T,), True for those of T targets with undetermined height: levelled set-ups measured only azimuths and
     horizontal distances to them.
     """
-    oriented_stations: Ints
+    yaw_determined_stations: Ints
     """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""
     n_coordinates_of_unmeasured_targets: int
     """Number of known coordinates of unmeasured targets, which do not count as observations."""
@@ -190,7 +190,7 @@ class UndeterminedUnknowns:
         alone[network.control_rows_of_marks.point_indices] = False
         height = alone & azimuth & ~feels & level
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        is_read[network.control_rows.point_indices[network.control_rows.declared_components.all(axis=1)]] = True
+        is_read[network.control_rows.point_indices[network.control_rows.is_declared_coordinate.all(axis=1)]] = True
         is_read[marks.target_indices[marks.target_indices >= 0]] = True
         upright = np.zeros(n_stations, dtype=bool)
         upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
@@ -199,16 +199,19 @@ class UndeterminedUnknowns:
         n_rows[marks.target_indices[on & azimuth]] = True
         n_rows[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
         n_rows[marks.target_indices[on & (feels | ~upright)]] = False
-        n_rows[network.control_rows.point_indices[network.control_rows.declared_components[:, 2]]] = False
+        n_rows[network.control_rows.point_indices[network.control_rows.is_declared_coordinate[:, 2]]] = False
         n_rows[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
         height_free = network.difference_rows.is_height_undetermined(np.concatenate([n_rows, height, [False]]))
         has_height = np.concatenate(
-            [network.control_rows.declared_components[:, 2], network.control_rows_of_marks.declared_components[:, 2]]
+            [
+                network.control_rows.is_declared_coordinate[:, 2],
+                network.control_rows_of_marks.is_declared_coordinate[:, 2],
+            ]
         )
         stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(n_rows) : -1])
         return cls(
             n_coordinates_of_unmeasured_targets=int(
-                network.control_rows.declared_components[~is_read[network.control_rows.point_indices]].sum()
+                network.control_rows.is_declared_coordinate[~is_read[network.control_rows.point_indices]].sum()
             ),
             unknowns=network.unknowns,
             yaw_undetermined_stations=np.flatnonzero(~azimuth),
@@ -217,7 +220,7 @@ class UndeterminedUnknowns:
             stations_without_readings=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             is_unmeasured_target=~is_read,
             is_height_undetermined_target=height_free[: len(n_rows)],
-            oriented_stations=np.flatnonzero(azimuth),
+            yaw_determined_stations=np.flatnonzero(azimuth),
             scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
             fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
         )
@@ -247,7 +250,7 @@ class UndeterminedUnknowns:
         tilt = np.swapaxes(state.station_rotations[self.tilt_undetermined_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
             state.target_points[self.scale_target]
-            - state.station_positions[self.oriented_stations[: len(self.scale_target)]]
+            - state.station_positions[self.yaw_determined_stations[: len(self.scale_target)]]
         )
         directions = arm / np.linalg.norm(arm, axis=1, keepdims=True)
         unit_vectors = np.zeros((self.n_fixing_equations - len(yaw) - len(tilt) - len(directions), 3))
@@ -282,12 +285,16 @@ class UndeterminedUnknowns:
     @property
     def datum_stations(self) -> Ints:
         """Indices of the stations that define the datum: the first with a determined yaw, or all without azimuths."""
-        return self.oriented_stations[:1] if self.fixes_datum_rotations else np.arange(len(self.unknowns.pose_columns))
+        return (
+            self.yaw_determined_stations[:1]
+            if self.fixes_datum_rotations
+            else np.arange(len(self.unknowns.pose_columns))
+        )
 
     @property
     def fixes_datum_rotations(self) -> bool:
         """True if the datum fixes the rotation of its defining station, and not only translations."""
-        return len(self.oriented_stations) > 0
+        return len(self.yaw_determined_stations) > 0
 
 
 def _has_approximate_scale(network: NetworkRows) -> bool:
@@ -295,7 +302,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     use, recording, control_axes = (
         network.is_used_reading,
         network.model.recording,
-        network.control_rows.declared_components,
+        network.control_rows.is_declared_coordinate,
     )
     has_height = use[:, 2].any()
     has_scale = (

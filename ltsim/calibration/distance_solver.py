@@ -107,7 +107,7 @@ def _append_gauge_rows(
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
     # The error of a gauge length shifts all rows that compare with it.
-    spread = sp.csr_array(-problem.reference_lengths.covariance_root[which])
+    spread = sp.csr_array(-problem.reference_lengths.covariance_cholesky_factor[which])
     matrix = sp.vstack([set_comparison_matrix, selection], format="csr")
     residual = matrix @ distances.lengths
     residual[set_comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]

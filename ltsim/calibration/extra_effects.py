@@ -26,7 +26,7 @@ from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _refit_with_best_constants(
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects whose shape constants minimise chi-square, and the last refit of these constants."""
-    for _ in range(MAX_ALTERNATIONS):
+    for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
         fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_constants=fixed_fields)

@@ -15,7 +15,7 @@ from ltsim.adjustment.identification import (
 from ltsim.adjustment.identification.cause_tests import cause_sentence
 from ltsim.adjustment.identification.recommendations import corrected_faults, corrections_sentence
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.quality import require_usable
+from ltsim.adjustment.quality import require_usable_adjustment
 from ltsim.adjustment.reference_tests import TESTED_KINDS_EXCEPT_SCALE, TESTED_REFERENCE_KINDS
 from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
@@ -131,7 +131,7 @@ def adjust_with_cause_selection(
         how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
         adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
         adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
-        require_usable(adjustment)
+        require_usable_adjustment(adjustment)
         return _require_available_datum(adjustment, datum)
     has_no_scale_parameter = prior is None or prior.is_fixed.all()
     how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else TESTED_KINDS_EXCEPT_SCALE
@@ -145,7 +145,7 @@ def adjust_with_cause_selection(
             TESTED_REFERENCE_KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
         )
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    require_usable(adjustment)
+    require_usable_adjustment(adjustment)
     if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
         adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
     if selection is not None and grouping is None:

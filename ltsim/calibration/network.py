@@ -34,7 +34,7 @@ from ltsim.physics.model.construction import GeometricErrorModel, declared_const
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import DISTANCE_METER_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 
 def calibrate_network(
@@ -77,7 +77,7 @@ def calibrate_network(
     quiet_by, noise_may_differ, tried_sets, alternates = "", True, [freed], False
     # A single cause of a misfit could absorb an effect that the user requests.
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
-    for remaining in reversed(range(MAX_ALTERNATIONS if choose_correction else 1)):
+    for remaining in reversed(range(MAX_DECISION_CHANGES if choose_correction else 1)):
         adjusted = partial(
             adjust_with_cause_selection,
             recording,

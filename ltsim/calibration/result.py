@@ -83,7 +83,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state, over = adjustment.state, adjustment.problem.marks.target_indices
-    flat = (over >= 0) & adjustment.is_height_undetermined[over]
+    flat = (over >= 0) & adjustment.is_height_undetermined_target[over]
     return tuple(
         StationPose(
             name=name,
@@ -112,7 +112,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         k = int(np.argmax(np.abs(whitened[i])))
         residual, w = adjustment.residuals[i, k], float(whitened[i, k])
         outliers.append(row(i, k, residual, w, pointing_excluded=True, excluded=True))
-    single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None]
+    single = adjustment.is_rejected_reading & ~adjustment.is_gross_pointing[:, None]
     single &= _estimated_error_mask(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
@@ -178,13 +178,13 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = (
-            len(test.error) == 1 and not test.declared_components,
+            len(test.error) == 1 and not test.declared_axes,
             bool(np.isfinite(test.sigma_error[k])),
         )
         entry = ReferenceValueEntry(
             kind=test.kind,
             name=test.name,
-            component="" if is_scalar else (test.declared_components or "xy")[k],
+            component="" if is_scalar else (test.declared_axes or "xy")[k],
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
             sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
@@ -254,10 +254,13 @@ def frame_text(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
     first_station = recording.stations[0]
-    control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.point_indices]
+    control_rows, flat = (
+        problem.control_rows,
+        adjustment.is_height_undetermined_target[problem.control_rows.point_indices],
+    )
     control = [
         recording.targets[i]
-        for i in control_rows.point_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
+        for i in control_rows.point_indices[control_rows.is_declared_coordinate[:, :2].any(axis=1) | ~flat]
     ]
     control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.point_indices]
     levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
@@ -272,7 +275,7 @@ def frame_text(adjustment: Adjustment) -> str:
     definition = f"is {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
-    if free == 6 or not (points or zeros or not adjustment.is_height_undetermined.all()):
+    if free == 6 or not (points or zeros or not adjustment.is_height_undetermined_target.all()):
         return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
         return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
@@ -321,7 +324,7 @@ def criteria_entry(
     The correction removes the estimated effects and, if `corrects_reflectors` is set, the incidence errors of the
     reflectors, as in `correct`. Other estimated errors remain.
     """
-    use: Bools = np.asarray(~adjustment.is_rejected.any(axis=1))
+    use: Bools = np.asarray(~adjustment.is_rejected_reading.any(axis=1))
     recording = _recording_with_reference_smr(recording, adjustment)
     try:
         if not construction.n_parameters:
@@ -360,7 +363,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
-    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined)]
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)]
     return (f"no reading determines the height of {listing(names)}: adjusted in plan only",) if names else ()
 
 

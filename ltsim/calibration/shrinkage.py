@@ -363,7 +363,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, n_retained = adjustment.solution.system, adjustment.problem.unknowns.n_retained
     control_targets = np.repeat(
-        problem.control_rows.point_indices, problem.control_rows.declared_components.sum(axis=1)
+        problem.control_rows.point_indices, problem.control_rows.is_declared_coordinate.sum(axis=1)
     )
     lengths = np.full(len(problem.gauge_rows), -1)
     row_target = np.concatenate(

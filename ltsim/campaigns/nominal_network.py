@@ -97,7 +97,7 @@ class NominalNetwork:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
             )
-        return self.shared_derivatives.network.problem.with_other_positions(self.model)
+        return self.shared_derivatives.network.problem.with_positions_of_model(self.model)
 
     @cached_property
     def nominal_state(self) -> NetworkState:

@@ -70,11 +70,13 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
     groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
-        np.add.at(before, pointing[rows], _normalised_errors_on_fold(space.residuals[rows], values, vectors) ** 2)
+        np.add.at(
+            before, pointing[rows], _normalised_errors_on_fold(space.whitened_residuals[rows], values, vectors) ** 2
+        )
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
-            remaining = space.residuals - space.project(_reading_shift_by_selected_model(space, fold_search))
+            remaining = space.whitened_residuals - space.project(_reading_shift_by_selected_model(space, fold_search))
             np.add.at(after, pointing[rows], _normalised_errors_on_fold(remaining[rows], values, vectors) ** 2)
     if not count:
         return HeldOutErrors()

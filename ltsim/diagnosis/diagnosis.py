@@ -187,7 +187,7 @@ class Diagnosis(ResultFile):
             model.change_by_effects(model.sightings(state), state.extra_parameters)
             + self.arrays.averaged_minus_refit_reading_change
         )
-        change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
+        change = np.where(adjusted.is_rejected_reading, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap_angle(corrected[:, 1:])
         return np.nan_to_num(change + corrected)

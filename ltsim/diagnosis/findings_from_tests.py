@@ -27,9 +27,13 @@ def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
         effect=blunder.effect_name,
         known=True,
         where=scope_with_names(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
-        parameters=(ParameterEstimate(name="size", value=1e3 * blunder.size, sigma=1e3 * blunder.sigma, unit="mm"),),
+        parameters=(
+            ParameterEstimate(
+                name="size", value=1e3 * blunder.displacement, sigma=1e3 * blunder.displacement_sigma, unit="mm"
+            ),
+        ),
         evidence=FindingEvidence(
-            chi2_drop=(blunder.size / blunder.sigma) ** 2,
+            chi2_drop=(blunder.displacement / blunder.displacement_sigma) ** 2,
             parameters=3,
             p_value=None,
             probability=MAX_P_OF_TEST_FINDINGS,
@@ -42,7 +46,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
     """Finding that reports a point whose declared coordinates contradict the axes that the other points define."""
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
-        for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
+        for axis, e, s in zip(test.declared_axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
         if np.isfinite(s)
     ]
     return Finding(

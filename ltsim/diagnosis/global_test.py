@@ -51,12 +51,12 @@ class GlobalTestResult:
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
     """Result of the joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
     space = searcher.space
-    noise_evidence = noise_hypotheses.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0]
+    noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise_hypotheses.log_evidence_by_family(
         searcher.null_ensemble.simulated_residuals, space.redundancy
     )
     statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.statistic)))
     null = np.logaddexp(log_sum_exp(simulated_evidence), searcher.empty_model_screening.null_statistics)
-    chi2, dof = float(space.residuals @ space.residuals), space.adjustment.dof
+    chi2, dof = float(space.whitened_residuals @ space.whitened_residuals), space.adjustment.dof
     chi2_p_value = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     return GlobalTestResult(statistic, chi2_p_value, null)

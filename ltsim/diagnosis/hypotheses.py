@@ -75,7 +75,7 @@ class Model:
         """Model with the given hypotheses in a residual space."""
         designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
-        return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.residuals)
+        return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.whitened_residuals)
 
     @property
     def effects(self) -> list[CandidateEffect]:

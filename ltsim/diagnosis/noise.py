@@ -259,7 +259,7 @@ class NoiseHypothesisSet:
 
         The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """
-        space, residual, redundancy = self.space, self.space.residuals, self.space.redundancy
+        space, residual, redundancy = self.space, self.space.whitened_residuals, self.space.redundancy
         values, factors = [0.0], [np.ones(space.sigma.shape)]
         for hypothesis, value in self._ranked_patterns(residual, redundancy):
             sizes = np.array(with_estimated_sizes(space, space.sigma, hypothesis).sizes)

@@ -129,7 +129,7 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     effect, scale = hypothesis.effect, hypothesis.effect.plausible_sizes
     if isinstance(effect, CentringVariance):
         return with_estimated_centring(space, hypothesis)
-    reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)
+    reml_gain = reml_gain_function(space, nominal_sigma, effect, space.whitened_residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _heavy_tail_with_variances(hypothesis, reml_gain)
     least = np.full(len(scale), np.log1p(effect.min_relative_size))

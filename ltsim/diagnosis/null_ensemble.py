@@ -61,7 +61,7 @@ class NullEnsemble:
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_equations, 1 + n_trials + n_basis_vectors), dtype=np.float32)
-        vectors[:, 0] = space.residuals
+        vectors[:, 0] = space.whitened_residuals
         _simulate_residuals(space, random_stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
         if basis is None:
             _simulate_residuals(space, random_stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])

@@ -137,7 +137,7 @@ class Searcher:
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
         reduced.space, reduced.uses_fewer_evaluations = self.space.with_design_columns(unit), True
-        reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
+        reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.whitened_residuals, self.empty_model.basis)
         reduced.empty_model = Model.from_space((), reduced.space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
         reduced.evidence_calculator = EvidenceCalculator(reduced.space)
@@ -285,7 +285,7 @@ class Searcher:
         if not hypotheses:
             return self.empty_model
         designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)
-        return Model(tuple(hypotheses), designs, norms, self.space.residuals)
+        return Model(tuple(hypotheses), designs, norms, self.space.whitened_residuals)
 
     def model_without(self, model: Model, effect_index: int) -> Model:
         """Model without the effect that has the index `effect_index`."""

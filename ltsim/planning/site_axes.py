@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.candidates import FloorPlan
+from ltsim.adjustment.remedies.candidates import FloorPlanTransform
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -48,7 +48,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
             f"{option_text('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, "
             "or name targets as in the plan"
         )
-    positions = (plan or FloorPlan.from_recording(recording, adjustment.state)).positions_on_plan(
+    positions = (plan or FloorPlanTransform.from_recording(recording, adjustment.state)).positions_on_plan(
         adjustment.state.station_positions
     )
     if plan is None:
@@ -64,7 +64,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
 
 def _floor_plan_from_points(
     recording: Recording, state: NetworkState, search_space: SearchSpace, undetermined: tuple[str, ...], site_name: str
-) -> FloorPlan | None:
+) -> FloorPlanTransform | None:
     """Transformation from the network to the site by the points with equal names; None if there are too few.
 
     The rotation is about the vertical of the network. Targets named in `undetermined` are not used.
@@ -81,7 +81,7 @@ def _floor_plan_from_points(
         return None
     turn = rotation_about_z(float(np.arctan2(rotation[1, 0], rotation[0, 0])))
     shift = np.median(there - target_points @ turn.T, axis=0)
-    plan = FloorPlan(turn, shift, has_plan=True)
+    plan = FloorPlanTransform(turn, shift, has_plan=True)
     misfit = np.linalg.norm(plan.positions_on_plan(target_points) - there, axis=1)
     if np.median(misfit) > MAX_MEDIAN_MISFIT:
         worst = int(np.argmax(misfit))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import identify_causes
-from ltsim.adjustment.remedies.candidates import FloorPlan
+from ltsim.adjustment.remedies.candidates import FloorPlanTransform
 from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
@@ -186,7 +186,9 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
     """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
-    floor_plan = FloorPlan.from_positions(setup, scene.stations, scene.station_positions, scene.station_rotations)
+    floor_plan = FloorPlanTransform.from_positions(
+        setup, scene.stations, scene.station_positions, scene.station_rotations
+    )
     rotation, has_plan = floor_plan.rotation_to_plan, floor_plan.has_plan
     points, position = (
         floor_plan.positions_on_plan(scene.target_points),

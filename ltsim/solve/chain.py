@@ -146,7 +146,7 @@ class BlockChainFactor:
     def inverse(self) -> Floats:
         """Complete inverse (K, K) of the factorised matrix, which has K columns."""
         if self.n_blocks == 1:
-            return self.inverse_submatrices[0].inverse
+            return self.inverse_submatrices_by_block[0].inverse
         n_unknowns = len(self._column_order)
         column_slices = [
             slice(i, i + INVERSE_COLUMNS_PER_BATCH) for i in range(0, n_unknowns, INVERSE_COLUMNS_PER_BATCH)
@@ -160,7 +160,7 @@ class BlockChainFactor:
         return inverse
 
     @cached_property
-    def inverse_submatrices(self) -> list[InverseSubmatrix]:
+    def inverse_submatrices_by_block(self) -> list[InverseSubmatrix]:
         """Submatrices of the inverse matrix, one per block: on the columns of the block, the next block and the border.
 
         References

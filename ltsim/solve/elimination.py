@@ -72,7 +72,7 @@ class DenseElimination:
         """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
         return self._inverse[: self._n_retained, : self._n_retained]
 
-    def inverses_of_sets(self, columns: Ints) -> Floats:
+    def inverse_submatrices(self, columns: Ints) -> Floats:
         """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
@@ -82,7 +82,7 @@ class DenseElimination:
         block_indices = np.arange(self._n_retained, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
-        return self.inverses_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
+        return self.inverse_submatrices(block_indices), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of linear functions, for each group R of neighbouring rows of `function_rows`.
@@ -107,7 +107,7 @@ class SparseElimination:
         normal = gram_matrix(iterate_row_batches(design, self.column_scales), design.shape[1])
         n_blocks = (normal.shape[0] - n_retained) // 3
         blocks = _diagonal_blocks(normal[n_retained:, n_retained:], n_blocks) + damping * np.eye(3)
-        self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
+        self._block_inverses, self._smallest_block_pivot = block_inverses_and_smallest_pivot(blocks)
         across = normal[:n_retained, n_retained:]
         self._elimination_coefficients = sp.csc_array(across @ _block_diagonal(self._block_inverses))
         schur = normal[:n_retained, :n_retained] - self._elimination_coefficients @ across.T
@@ -134,12 +134,12 @@ class SparseElimination:
         """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
         return self._schur_factor.inverse()
 
-    def inverses_of_sets(self, columns: Ints) -> Floats:
+    def inverse_submatrices(self, columns: Ints) -> Floats:
         """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
-            mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_submatrices[i]
+            mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_submatrices_by_block[i]
             places = window.positions_of_columns[columns[mine]]
             inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
             inverses[mine[np.any(places < 0, axis=1)]] = np.nan
@@ -176,7 +176,7 @@ class SparseElimination:
                 reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
             else:
                 carry, (reduced, columns) = None, dense_rows(front, low, high)
-            window = self._schur_factor.inverse_submatrices[int(self._first_chain_block(columns, axis=0))]
+            window = self._schur_factor.inverse_submatrices_by_block[int(self._first_chain_block(columns, axis=0))]
             at = window.positions_of_columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
@@ -237,7 +237,7 @@ def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints
     return dense.reshape(end_row - first_row, width)[:, :-1], columns
 
 
-def block_inverse(blocks: Floats) -> tuple[Floats, float]:
+def block_inverses_and_smallest_pivot(blocks: Floats) -> tuple[Floats, float]:
     """Inverses (E, 3, 3) of E symmetric blocks (E, 3, 3), and the smallest pivot of their Cholesky factorisations.
 
     Raises LinAlgError if a block is not positive definite.
@@ -358,16 +358,16 @@ class BlockFactor:
         return covariance
 
     @single_threaded
-    def covariances_of_sets(self, columns: Ints) -> Floats:
+    def covariance_submatrices(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k retained unknowns, given by their columns (c, k).
 
         The computation is efficient if the unknowns of each set occur together in a row of the design.
         """
         scale = self._column_scales[columns]
-        return self._elimination.inverses_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.inverse_submatrices(columns) * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
-    def block_covariance(self) -> Floats:
+    def eliminated_covariances(self) -> Floats:
         """Covariance matrices (E, 3, 3) of the three unknowns of each of E eliminated blocks."""
         scale = self._column_scales[self._system.n_retained :].reshape(-1, 3)
         return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]

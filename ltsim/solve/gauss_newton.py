@@ -10,14 +10,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
-PointT = TypeVar("PointT")
+UnknownsT = TypeVar("UnknownsT")
 """Type of one set of values of the unknowns."""
 MAX_ITERATIONS = 60
 """Largest number of steps of an iteration that otherwise ends when its error is below a tolerance. If each step reduces
 the error to 0.74 of the previous one or less, it is below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration
 that needs more steps counts as not convergent.
 """
-MAX_ALTERNATIONS = 6
+MAX_DECISION_CHANGES = 6
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
 widened priors, selected causes. The alternation ends when the decision does not change; if decisions repeat in a cycle,
 the last one counts.
@@ -32,7 +32,7 @@ converged."""
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
 """Squared length of a step, in units of the standard deviations of the unknowns, below which the next step uses the
 same design matrix."""
-MAX_PREDICTED_STEP_FRACTION = 1e-4
+MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO = 1e-4
 """Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which the next step is not
 computed. Its length is then below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
@@ -42,19 +42,19 @@ MAX_SQUARED_ROUNDING_STEP = 1e-4
 as rounding errors and end the iteration. Such errors occur with large coordinates."""
 
 
-class LeastSquaresProblem(Protocol[PointT]):
+class LeastSquaresProblem(Protocol[UnknownsT]):
     """Interface of a nonlinear least-squares problem to the Gauss-Newton iteration.
 
     A point is one set of values of the unknowns. It may be any object, such as a network state with rotations.
     """
 
-    def linearise(self, x: PointT) -> BlockSystem:
+    def linearise(self, x: UnknownsT) -> BlockSystem:
         """Whitened linear system (design matrix and residuals) at the point x."""
 
-    def whitened_residuals(self, x: PointT) -> Floats:
+    def whitened_residuals(self, x: UnknownsT) -> Floats:
         """Whitened residuals (m,) of m observations at the point x, computed without the design matrix."""
 
-    def retract(self, point: PointT, step: Floats) -> PointT:
+    def retract(self, point: UnknownsT, step: Floats) -> UnknownsT:
         """Point that results from `point` by a step (u,) of all u unknowns."""
 
 
@@ -70,10 +70,10 @@ class TerminationStatus(Enum):
 
 
 @dataclass(frozen=True)
-class Solution(Generic[PointT]):
+class Solution(Generic[UnknownsT]):
     """Result of the Gauss-Newton iteration: the last point and its linear system."""
 
-    x: PointT
+    x: UnknownsT
     """Last point of the iteration: the values of the unknowns."""
     sum_of_squares: float
     """Sum of squared whitened residuals at the last point."""
@@ -91,14 +91,14 @@ class Solution(Generic[PointT]):
         """True if the iteration converged to an optimum, or if the observations are only planned."""
         return self.status in (TerminationStatus.CONVERGED, TerminationStatus.PLANNED)
 
-    def require_success(self) -> Solution[PointT]:
+    def require_success(self) -> Solution[UnknownsT]:
         """Solution itself if the iteration converged; otherwise raises `ConvergenceError` with the status."""
         if not self.has_converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self
 
 
-def solution_for_plan(problem: LeastSquaresProblem[PointT], point: PointT) -> Solution[PointT]:
+def solution_for_plan(problem: LeastSquaresProblem[UnknownsT], point: UnknownsT) -> Solution[UnknownsT]:
     """Solution for planned observations: the linear system at `point`, for the precision of the unknowns.
 
     Raises SingularSystemError if the observations do not determine all unknowns.
@@ -107,7 +107,9 @@ def solution_for_plan(problem: LeastSquaresProblem[PointT], point: PointT) -> So
     return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
 
 
-def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iterations: int = 30) -> Solution[PointT]:
+def solve(
+    problem: LeastSquaresProblem[UnknownsT], start_point: UnknownsT, *, max_iterations: int = 30
+) -> Solution[UnknownsT]:
     """Minimum of a sum of squared residuals, by at most `max_iterations` iterations from `start_point`."""
     x, damping, previous_length, had_regular_normals = start_point, 0.0, float("inf"), False
     system = problem.linearise(x)
@@ -128,7 +130,11 @@ def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iter
         if not damping and length < MAX_SQUARED_ROUNDING_STEP and length > previous_length / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         # The ratio of the next step to this one is predicted as the ratio of this step to the previous one.
-        sure = length * length < MAX_PREDICTED_STEP_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
+        sure = (
+            length * length
+            < MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO * SQUARED_STEP_TOLERANCE * previous_length
+            < float("inf")
+        )
         trial, previous_length, near = (
             problem.retract(x, step),
             length,
@@ -171,8 +177,8 @@ def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
 
 
 def _step_with_previous_design(
-    problem: LeastSquaresProblem[PointT], point: PointT, block_system: BlockSystem, normal_equations: BlockFactor
-) -> tuple[PointT, BlockSystem] | None:
+    problem: LeastSquaresProblem[UnknownsT], point: UnknownsT, block_system: BlockSystem, normal_equations: BlockFactor
+) -> tuple[UnknownsT, BlockSystem] | None:
     """Point and linear system after one more step with the previous design; None if the step is not below tolerance.
 
     `block_system` is the previous system, `normal_equations` its factor. After a step of one standard deviation the
@@ -205,13 +211,13 @@ def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFact
 
 
 def _final_solution(
-    point: PointT,
+    point: UnknownsT,
     block_system: BlockSystem,
     n_iterations: int,
     termination_status: TerminationStatus,
     *,
     had_regular_normals: bool,
-) -> Solution[PointT]:
+) -> Solution[UnknownsT]:
     """Solution at a point with undamped normal equations; if they are singular, its status states the cause.
 
     `had_regular_normals` is True if the normal equations were regular at an earlier point of the iteration.

@@ -24,7 +24,7 @@ MAX_BASIS_ENTRIES = 2_000_000
 diagnosis of 1,200 pointings, whose design has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to
 36 s and 330 MB with the factor.
 """
-MAX_UNPROJECTED_OVERLAP = 1e-10
+MAX_OVERLAP_WITHOUT_REPROJECTION = 1e-10
 """Inner product of a projected unit vector with a unit column of the design, above which the vector is projected again.
 Without rounding errors the product is zero.
 """
@@ -118,7 +118,7 @@ class FactorResidualProjector:
 
     def project(self, vectors: Floats) -> Floats:
         """Components in the residual space of q vectors of m observations (m, q), which the design does not explain."""
-        return self._residual_part(vectors, slice(None))
+        return self._projected_sparse_vectors(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of groups of k projected vectors, as `BasisResidualProjector.gram_matrices`.
@@ -128,7 +128,7 @@ class FactorResidualProjector:
         """
         block = self._stored_block(row_selection)
         if block is None:
-            return _group_gram_matrices(self._residual_part(columns, row_selection), group_boundaries)
+            return _group_gram_matrices(self._projected_sparse_vectors(columns, row_selection), group_boundaries)
         projected = block @ columns
         limits = pairwise(group_boundaries.tolist())
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
@@ -146,10 +146,10 @@ class FactorResidualProjector:
                 self._stored_blocks[key] = block
         return block
 
-    def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
+    def _projected_sparse_vectors(self, columns: Floats, rows: Ints | slice) -> Floats:
         """Components (m, q) in the residual space of q vectors of m entries: `columns` (r, q) on r `rows`, else 0.
 
-        If rounding errors of the projection exceed `MAX_UNPROJECTED_OVERLAP`, the result is projected a second time.
+        If rounding errors of the projection exceed `MAX_OVERLAP_WITHOUT_REPROJECTION`, the result is projected again.
         """
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
@@ -159,7 +159,7 @@ class FactorResidualProjector:
         again = self._transposed_design @ residual
         if np.any(
             np.abs(again) * self._inverse_column_norms[:, None]
-            > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)
+            > MAX_OVERLAP_WITHOUT_REPROJECTION * np.linalg.norm(columns, axis=0)
         ):
             residual -= self.design @ self.factor.multiply_by_covariance(again)
         if self.removed_columns.shape[1]:

@@ -139,7 +139,7 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     assert copied.dof == found.dof
     assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
     assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows are exact copies of other rows")
-    assert not copied.is_rejected.any()
+    assert not copied.is_rejected_reading.any()
 
 
 def test_copies_of_rows_are_no_cause() -> None:

@@ -255,7 +255,7 @@ def test_a_wrong_difference_is_named_and_the_readings_stay(
     told = [test.sentence for test in found.rejected_references]
     assert len(told) == bool(name)
     assert all(name in sentence and "as the readings show: excluded" in sentence for sentence in told)
-    assert not found.is_rejected.any()
+    assert not found.is_rejected_reading.any()
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
 
 
@@ -273,7 +273,7 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     lines = {"A": 10.0001, "B": 14.1995, "C": 4.0993, "E": 18.8993}
     for name, height in lines.items():
         assert found.state.target_points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
-    assert [names[t] for t in np.flatnonzero(found.is_height_undetermined)] == ["D"]
+    assert [names[t] for t in np.flatnonzero(found.is_height_undetermined_target)] == ["D"]
     tested = {t.name: t.redundancy[0] for t in found.reference_tests if t.kind == "difference"}
     assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
@@ -303,7 +303,7 @@ def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -
     assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
     assert np.abs(ours - theirs)[:, 0].max() < PRINTED
     assert np.abs(ours - theirs)[:, 1].max() < 0.051
-    assert found.is_height_undetermined.all()
+    assert found.is_height_undetermined_target.all()
     assert np.isnan(found.pose_covariance[:, 2, 2]).all()
     assert all(abs(test.error[2]) == 0.0 for test in found.reference_tests if test.kind == "mark")
 
@@ -476,6 +476,6 @@ def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path
     recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
     found = adjust(recording, robust=True)
     assert not adjust(recording).rejected_references and not found.rejected_references
-    rows, columns = np.nonzero(found.is_rejected)
+    rows, columns = np.nonzero(found.is_rejected_reading)
     assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
     assert set(columns.tolist()) == {1}

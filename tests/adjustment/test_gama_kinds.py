@@ -217,7 +217,7 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
     assert np.abs([ours[i] for i in at] - x).max() < PRINTED / 5
     np.testing.assert_allclose([sigma[i] for i in at], spread, rtol=1e-3)
     told = {word[:-1] for word in network.unknown.split() if word[-1] == "z"}
-    open_ = {names[t] for t in np.flatnonzero(found.is_height_undetermined)}
+    open_ = {names[t] for t in np.flatnonzero(found.is_height_undetermined_target)}
     fixed = {name for name, said in network.points.items() if "adj" not in said or 'fix="z"' in said}
     assert set(network.points) - fixed - open_ == told
 

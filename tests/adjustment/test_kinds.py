@@ -158,7 +158,7 @@ def test_a_target_left_open_by_readings_out_of_use_is_left_out():
     use[rows] = [[True, False, True], [False, False, False]]
     found = adjust(recording, misalignment_construction(), reading_mask=use)
     assert found.undetermined_targets == ("T06",)
-    assert found.is_rejected[rows].all()
+    assert found.is_rejected_reading[rows].all()
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
     use[rows[1], 1] = True
@@ -176,7 +176,7 @@ def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustmen
     found = adjust(recording.with_readings(readings), misalignment_construction(), robust=True)
     found.solution.require_success()
     assert found.undetermined_targets == ("T06",)
-    assert found.is_rejected.sum() == 4
+    assert found.is_rejected_reading.sum() == 4
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
 
@@ -197,9 +197,9 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
     readings[rows, 0] += [5e-5, -5e-5]
     found = adjust(recording.with_readings(readings), robust=True)
     assert found.undetermined_targets == ("T06",)
-    assert set(np.argwhere(found.is_rejected)[:, 0]) == set(rows)
+    assert set(np.argwhere(found.is_rejected_reading)[:, 0]) == set(rows)
     assert np.abs(found.residuals[rows, 0]).max() < 2e-4
-    assert not adjust(recording, robust=True).is_rejected.any()
+    assert not adjust(recording, robust=True).is_rejected_reading.any()
 
 
 def gauge_without(recording, name):

@@ -63,7 +63,7 @@ def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robus
         (wrong,) = found.rejected_references
         assert (wrong.kind, wrong.name, wrong.is_excluded) == ("point", name, True)
         assert float(np.linalg.norm(wrong.error)) == pytest.approx(1e-3 * size, abs=0.1e-3)
-        assert found.is_rejected.sum() == sound.is_rejected.sum()
+        assert found.is_rejected_reading.sum() == sound.is_rejected_reading.sum()
         miss, least = (np.sqrt(np.mean((x.state.target_points - mesh()) ** 2)) for x in (found, sound))
         assert miss < 1.2 * least
         assert f"the known coordinates of {name} are off by" in adjustment_warnings(found)[0]
@@ -75,7 +75,7 @@ def test_two_wrong_control_points_and_a_bad_reading() -> None:
     readings[17, 0] += 0.2e-3
     found = adjust(recording.with_readings(readings), robust=True)
     assert sorted(test.name for test in found.rejected_references) == ["T06", "T20"]
-    assert np.argwhere(found.is_rejected).tolist() == [[17, 0]]
+    assert np.argwhere(found.is_rejected_reading).tolist() == [[17, 0]]
 
 
 def without_lengths(recording: Recording) -> Recording:
@@ -165,9 +165,7 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
         z = 1e3 * float(mesh()[recording.targets.index(name), 2]) + (1020.0 if name == "T16" else 0.0)
         heights[name] = Target(known_mm=(0.0, 0.0, z), known_axes="z", known_sigma_mm=0.05)
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
-    assert [(test.kind, test.name, test.declared_components) for test in found.rejected_references] == [
-        ("point", "T16", "z")
-    ]
+    assert [(test.kind, test.name, test.declared_axes) for test in found.rejected_references] == [("point", "T16", "z")]
     assert found.rejected_references[0].error[0] == pytest.approx(1.02, abs=1e-3)
 
 
@@ -315,7 +313,7 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     file.write_text("\n".join(lines))
     found = adjust(with_control_points(recording, file))
     assert [test.name for test in found.rejected_references] == ["T20"]
-    assert {test.name: test.declared_components for test in found.reference_tests}["T02"] == "z"
+    assert {test.name: test.declared_axes for test in found.reference_tests}["T02"] == "z"
     assert "frame of the control points" in lt.adjust(with_control_points(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
     with pytest.raises(RecordError, match="has no standard deviation of T01"):

@@ -87,7 +87,9 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     length = np.array([1.0, 3.0, 5.0])
     shared = (10 * 1e-6) ** 2 + (11.5e-6 * 0.2) ** 2
     covariance = shared * np.outer(length, length) + 1e-6**2 * np.eye(3)
-    np.testing.assert_allclose(gauge.covariance_root @ gauge.covariance_root.T, covariance, rtol=1e-12)
+    np.testing.assert_allclose(
+        gauge.covariance_cholesky_factor @ gauge.covariance_cholesky_factor.T, covariance, rtol=1e-12
+    )
     white = gauge.decorrelate(np.eye(3))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
     idle = replace(gauge, is_unweighted=np.array([False, True, False]))
@@ -106,7 +108,9 @@ def test_lengths_share_a_scale_or_tell_none(measured: Recording) -> None:
     lines = [line("T01", "T02", 2000.0), line("T03", "T04", 1000.0, measured_in_place=True)]
     gauge = GaugeRows.from_recording(with_gauge(measured, *lines, sigma_scale_ppm=20.0))
     covariance = 1e-6**2 * np.eye(2) + np.outer([40e-6, 20e-6], [40e-6, 20e-6])
-    np.testing.assert_allclose(gauge.covariance_root @ gauge.covariance_root.T, covariance, rtol=1e-12)
+    np.testing.assert_allclose(
+        gauge.covariance_cholesky_factor @ gauge.covariance_cholesky_factor.T, covariance, rtol=1e-12
+    )
     dof = {scale: adjust(with_gauge(measured, *lines, sigma_scale_ppm=scale)).dof for scale in (None, 20.0, 1000.0)}
     assert dof == {None: dof[None], 20.0: dof[None], 1000.0: dof[None] - 1}  # of two lengths one ratio is left
 
@@ -146,7 +150,7 @@ def test_simulated_certificates_err_as_they_say_and_together() -> None:
         gauge = GaugeRows.from_recording(recording)
         places = truth.target_points[[truth.target_names.index(name) for name in recording.targets]]
         gaps.append(gauge.decorrelate(gauge.lengths - gauge.predict(places)))
-        spread = gauge.covariance_root
+        spread = gauge.covariance_cholesky_factor
     both = np.array(gaps)
     np.testing.assert_allclose(np.corrcoef(both.T), np.eye(4), atol=0.2)
     np.testing.assert_allclose(both.std(axis=0), 1.0, atol=0.15)

@@ -79,9 +79,9 @@ def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed:
     across = np.array([-turned[1], turned[0]])
     east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
     expected = np.array([1.5, 1.0]) @ east * turned + np.array([1.5, 1.0]) @ [-east[1], east[0]] * across
-    spread = 1e3 * np.sqrt(np.diag(moved.covariance[0])[:2])
+    spread = 1e3 * np.sqrt(np.diag(moved.shift_covariances[0])[:2])
     assert np.all(np.abs(1e3 * moved.shifts[0, :2] - expected) < 4 * spread)
-    assert moved.chi2 < 1.3 * moved.dof
+    assert moved.chi2_with_centring < 1.3 * moved.dof_with_centring
     assert moved.noisy_targets == (("SPIRE",) if spire > 1.0 else ())
     assert f"P4 as target on {DAYS[1]} by 1." in found_sentence(found)
     assert any(item.kind == "mistake" and "P4" in item.targets for item in check(found.recording).items)
@@ -110,7 +110,7 @@ def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() ->
     found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
     mended, (told,) = correct_centring(found)
     assert (told.effect_name, told.targets) == ("target-moved", ("P4",))
-    assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
+    assert told.displacement == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.displacement_sigma)
     again = adjust_from_state(mended, start_state=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
     assert estimate_centring_errors(again) is None

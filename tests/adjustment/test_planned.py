@@ -44,7 +44,7 @@ def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
     model = MeasurementModel(moved, misalignment_construction())
     ours = (
         NetworkProblem.from_model(MeasurementModel(recording, misalignment_construction()))
-        .with_other_positions(model)
+        .with_positions_of_model(model)
         .linearise(there)
     )
     alone = NetworkProblem.from_model(model).linearise(there)

@@ -241,7 +241,7 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     selection = identify_causes(controlled(recording.with_readings(readings), truth))
     assert selection is not None
     (choice,) = selection.selected_hypotheses
-    assert choice.hypothesis.kind == "unit" and choice.hypothesis.rows == (row + 1,)
+    assert choice.hypothesis.kind == "unit" and choice.hypothesis.row_numbers == (row + 1,)
     np.testing.assert_allclose(selection.fit.recording.readings, recording.readings, rtol=0, atol=1e-12)
 
 

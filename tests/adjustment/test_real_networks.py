@@ -48,7 +48,7 @@ def test_a_network_held_by_a_point_in_plan_and_one_in_space_agrees_with_gama():
 def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
     found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
     assert found.solution.has_converged
-    assert found.is_height_undetermined.all()
+    assert found.is_height_undetermined_target.all()
     assert np.isnan(found.target_covariance[:, 2]).all()
     assert np.isfinite(found.target_covariance[:, :2, :2]).all()
     assert found.sigma0 == pytest.approx(0.97, abs=0.005)
@@ -61,12 +61,12 @@ def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directio
     assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("WAN3", "target", "2015-03-16")]
     turn = np.radians(156.5)  # azimuth of the network's x axis, WAN3 to WANE
     axes = np.array([[np.sin(turn), np.cos(turn)], [-np.cos(turn), np.sin(turn)]])
-    spread = np.sqrt(np.diag(axes.T @ moved.covariance[0] @ axes))
+    spread = np.sqrt(np.diag(axes.T @ moved.shift_covariances[0] @ axes))
     assert np.all(np.abs(moved.shifts[0] @ axes - [1.5e-3, 1.0e-3]) < 2.0 * spread)
     assert spread.max() < 0.3e-3
     assert moved.noisy_targets == ("WARK",)
     assert not found.undetermined_targets
-    assert np.flatnonzero(found.is_height_undetermined).tolist() == [found.recording.targets.index("WARK")]
+    assert np.flatnonzero(found.is_height_undetermined_target).tolist() == [found.recording.targets.index("WARK")]
     without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))
     marks = adjust(without)
     assert marks.dof == 562
@@ -91,10 +91,10 @@ def test_esa_adjusts_and_what_does_not_fit_is_found():
     assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.01)
     assert not found.flagged_readings()
-    rows = {int(i) + 1 for i in np.flatnonzero(found.is_rejected.any(axis=1))}
+    rows = {int(i) + 1 for i in np.flatnonzero(found.is_rejected_reading.any(axis=1))}
     assert {42, 199, 361, 362} <= rows
     assert 41 not in rows
-    assert found.is_rejected.sum() < 20
+    assert found.is_rejected_reading.sum() < 20
     for row in (199, 362):
         assert found.residuals[row - 1, 2] * found.recording.readings[row - 1, 0] == pytest.approx(0.07, abs=0.002)
 

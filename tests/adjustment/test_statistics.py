@@ -114,7 +114,7 @@ def test_many_blunders_are_left_out_and_nothing_else(seed):
     sizes = rng.choice([-1, 1], 14) * 10 ** rng.uniform(1.3, 3.5, 14)
     found = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
     assert found.solution.has_converged
-    assert {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)} == set(where)
+    assert {tuple(map(int, at)) for at in np.argwhere(found.is_rejected_reading)} == set(where)
     use = np.ones((len(clean), 3), dtype=bool)
     use[tuple(np.array(where).T)] = False
     without = adjust(clean, TRACKER, reading_mask=use)
@@ -122,7 +122,7 @@ def test_many_blunders_are_left_out_and_nothing_else(seed):
 
 
 def test_clean_recordings_lose_nothing():
-    lost = [int(adjust(noisy(seed), TRACKER, robust=True).is_rejected.sum()) for seed in range(15)]
+    lost = [int(adjust(noisy(seed), TRACKER, robust=True).is_rejected_reading.sum()) for seed in range(15)]
     assert sum(count > 0 for count in lost) <= 2
 
 
@@ -134,12 +134,12 @@ def test_what_was_screened_out_wrongly_comes_back():
     plain, robust = (adjust(clean.with_readings(readings), TRACKER, robust=r) for r in (False, True))
     assert np.flatnonzero(plain.is_gross_pointing).tolist() == [20]
     assert not robust.is_gross_pointing.any()
-    assert np.argwhere(robust.is_rejected).tolist() == [[20, 0]]
+    assert np.argwhere(robust.is_rejected_reading).tolist() == [[20, 0]]
 
 
 def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
     found = adjust(noisy(2, (6.0, 6.0, 6.0)), TRACKER, robust=True)
-    assert found.is_rejected.sum() <= 2
+    assert found.is_rejected_reading.sum() <= 2
 
 
 # --- variance components ------------------------------------------------------------------------------------------
@@ -168,8 +168,8 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
     found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")
-    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)}
-    assert found.is_rejected.sum() < 8
+    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected_reading)}
+    assert found.is_rejected_reading.sum() < 8
     for component in found.variance_components:
         assert component.noise_factor == pytest.approx(
             {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.noise_factor_sigma

@@ -63,7 +63,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     change = diagnosis.modelled_reading_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
-    assert told.evidence.chi2_drop == pytest.approx(float(space.residuals[at][0]) ** 2 / redundancy, rel=0.01)
+    assert told.evidence.chi2_drop == pytest.approx(float(space.whitened_residuals[at][0]) ** 2 / redundancy, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])
@@ -140,11 +140,12 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
     weak, strong = (
-        log_bayes_factor_of_discrepancy(space, size * law, space.residuals, redundancy) for size in (8.0, 400.0)
+        log_bayes_factor_of_discrepancy(space, size * law, space.whitened_residuals, redundancy)
+        for size in (8.0, 400.0)
     )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
-    wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_equations - rows))
+    wrong = space.whitened_residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_equations - rows))
     assert log_bayes_factor_of_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 

@@ -43,7 +43,7 @@ def scattered(space, pair, *, shared):
     own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
     more = np.zeros((space.n_equations, 1))
     more[:count, 0] = 1.5 * (common if shared else own)[space.is_used_reading]
-    return space.residuals + space.project(more)[:, 0]
+    return space.whitened_residuals + space.project(more)[:, 0]
 
 
 def evidence_of(bank, residual, redundancy):
@@ -84,7 +84,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
         * np.array([0.0, 1.0, 1.0])
     )
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
-    residual = space.residuals + space.project(change)[:, 0]
+    residual = space.whitened_residuals + space.project(change)[:, 0]
     best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.plausible_sizes) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
@@ -101,7 +101,7 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     )
     change = np.zeros((space.n_equations, 1))
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
-    residual = space.residuals + space.project(change)[:, 0]
+    residual = space.whitened_residuals + space.project(change)[:, 0]
     first = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
@@ -132,7 +132,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     effect, used = Turbulence(), space.is_used_reading
     between = np.sqrt(np.prod([sizes[0] for sizes in effect.size_grid()[2:4]]))
     true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
-    residual = space.residuals.copy()
+    residual = space.whitened_residuals.copy()
     residual[: int(used.sum())] *= np.sqrt(true[used])
 
     def gained(k, log_size):
@@ -161,7 +161,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
     """All subsets of observables but none, or all alike; each with its sizes averaged."""
     space, _, bank = repeated
-    residual, kind = space.residuals.copy(), np.nonzero(space.is_used_reading)[1]
+    residual, kind = space.whitened_residuals.copy(), np.nonzero(space.is_used_reading)[1]
     for k, times in enumerate((1.3, 1.5, 0.8)):
         residual[: len(kind)][kind == k] *= times
 
@@ -192,13 +192,13 @@ def test_a_wrong_declaration_of_the_noise_has_a_larger_prior_than_a_particular_c
 def test_noise_that_is_larger_everywhere_is_no_turbulence(repeated, times):
     """However the sizes that are tried lie beside the true one."""
     space, _, bank = repeated
-    evidence = evidence_of(bank, times * space.residuals, space.redundancy)
+    evidence = evidence_of(bank, times * space.whitened_residuals, space.redundancy)
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
 def test_quiet_residuals_are_no_law(repeated):
     space, _, bank = repeated
-    evidence = evidence_of(bank, 0.6 * space.residuals, space.redundancy)
+    evidence = evidence_of(bank, 0.6 * space.whitened_residuals, space.redundancy)
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
@@ -208,8 +208,8 @@ def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     beside = space.with_design_columns(
         random_stream(3, "columns").standard_normal((space.n_equations, space.n_equations // 4))
     )
-    assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
-    assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
+    assert evidence_of(bank, beside.whitened_residuals, space.redundancy)["noise-level"] > 5.0
+    assert evidence_of(bank, beside.whitened_residuals, beside.redundancy)["noise-level"] < 0.0
 
 
 def test_nothing_is_found_where_there_is_nothing(repeated):
@@ -249,7 +249,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         change = np.zeros((len(pair), 3))
         change[:, 0] = 2.0 * drawn
         left = (
-            space.residuals
+            space.whitened_residuals
             + space.project(
                 np.append(change[space.is_used_reading], np.zeros(space.n_equations - space.is_used_reading.sum()))[
                     :, None
@@ -284,7 +284,9 @@ def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_
     is_first = np.zeros(space.n_equations, dtype=bool)
     is_first[: int(space.is_used_reading.sum())] = (space.sightings.target == 0)[np.nonzero(space.is_used_reading)[0]]
     projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0 + 1e-15, 1.0 - space.redundancy))
-    unchecked = replace(space, projector=projector, residuals=np.where(is_first, 0.0, space.residuals))
+    unchecked = replace(
+        space, projector=projector, whitened_residuals=np.where(is_first, 0.0, space.whitened_residuals)
+    )
     found = with_estimated_sizes(unchecked, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
     assert np.isfinite(found.sizes).all() and np.isfinite(found.chi2_drop)
 
@@ -298,8 +300,8 @@ def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence
     factors = np.ones(space.n_equations)
     factors[: len(pointing)] = np.where(space.sightings.target[pointing] == 2, 4.0, 1.0)
     occam_factors = []
-    for residual in (factors * space.residuals, space.residuals):
-        case = replace(space, residuals=residual)
+    for residual in (factors * space.whitened_residuals, space.whitened_residuals):
+        case = replace(space, whitened_residuals=residual)
         found = with_estimated_sizes(case, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
         evidence = mixture.log_evidence(residual[:, None], space.redundancy)[0]
         assert 0.5 * found.chi2_drop + found.log_occam_factor == pytest.approx(evidence, abs=1e-6)

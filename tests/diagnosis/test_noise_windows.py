@@ -34,7 +34,7 @@ def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng
     rows = np.flatnonzero(noisy[pointing] & (kind > 0))
     added = np.zeros((space.n_equations, 1))
     added[rows, 0] = size * rng.standard_normal(len(rows))
-    return space.residuals + space.project(added)[:, 0]
+    return space.whitened_residuals + space.project(added)[:, 0]
 
 
 def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis:
@@ -46,7 +46,7 @@ def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 5)
     windows = NoiseWindows.from_space(space)[0]
-    residual = 1.5 * space.residuals[:, None]
+    residual = 1.5 * space.whitened_residuals[:, None]
     ratios = windows._log_likelihood_ratios(residual, space.redundancy)[..., 0].reshape(5, -1)
     logs = []
     for go in windows._state_change_probabilities:
@@ -67,7 +67,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     best = most_probable(space, residual)
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
-    fitted = with_estimated_sizes(replace(space, residuals=residual), space.sigma, best)
+    fitted = with_estimated_sizes(replace(space, whitened_residuals=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.sizes[0]) < 5.5
 
 
@@ -87,7 +87,7 @@ def test_expected_factors_are_the_mean_over_all_sequences(
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 4)
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.NOISY_STATE_VARIANCE_FACTOR_GRID", WINDOW_VARIANCE_FACTORS)
     windows = NoiseWindows.from_space(space)[0]
-    residual, sets = 1.5 * space.residuals, len(OBSERVABLE_SET_INDICATORS)
+    residual, sets = 1.5 * space.whitened_residuals, len(OBSERVABLE_SET_INDICATORS)
     ratios = windows._log_likelihood_ratios(residual[:, None], space.redundancy)[..., 0].reshape(4, sets, -1)
     logs, added = [], []
     for go, acts, factor in product(
@@ -114,7 +114,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
     losses = []
     for seed in range(6):
         residual = with_angular_noise(space, noisy, 1.0, random_stream(seed, "edges"))
-        case = replace(space, residuals=residual)
+        case = replace(space, whitened_residuals=residual)
         windows = NoiseWindows.from_space(case)[0]
         likeliest = windows.most_likely_effect(residual, space.redundancy)
         sizes = with_estimated_sizes(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
@@ -127,7 +127,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
 
 def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
     level = RecordingNoiseLevel.from_space(space, allows_quieter=True)
-    doubled = level.expected_variance_factors(2.0 * space.residuals, space.redundancy)
+    doubled = level.expected_variance_factors(2.0 * space.whitened_residuals, space.redundancy)
     assert doubled[: int(space.is_used_reading.sum())] == pytest.approx(4.0, rel=0.25)
     assert (doubled[int(space.is_used_reading.sum()) :] == 1.0).all()
     by_target = next(a for a in GroupNoiseMixture.candidates(space) if a.effect.group_kind == "target")

@@ -34,7 +34,7 @@ def test_the_drop_of_chi2_is_that_of_a_refit(space):
     columns = orthonormal_columns(space.project(design_columns), np.linalg.norm(design_columns, axis=0))
     again = adjust(space.adjustment.recording, misalignment_construction(), effects=[wave])
     assert columns.shape[1] == 2
-    drop = float(((columns.T @ space.residuals) ** 2).sum())
+    drop = float(((columns.T @ space.whitened_residuals) ** 2).sum())
     assert drop == pytest.approx(space.adjustment.chi2 - again.chi2, abs=1e-2)
 
 
@@ -48,7 +48,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     columns = orthonormal_columns(extended.project(design_columns), np.linalg.norm(design_columns, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
-    drop = float(((columns.T @ extended.residuals) ** 2).sum())
+    drop = float(((columns.T @ extended.whitened_residuals) ** 2).sum())
     assert drop == pytest.approx(one.chi2 - both.chi2, abs=1e-2)
 
 
@@ -93,9 +93,11 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     """The same law is subtracted from readings that follow it, and from those that follow its negative."""
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))
     change, rows = 8e-6 * space.project(wave[:, 0]), np.count_nonzero(space.is_used_reading)
-    follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
+    follows, opposes = (
+        replace(space, whitened_residuals=space.whitened_residuals + sign * change) for sign in (1.0, -1.0)
+    )
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
-    model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)
+    model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.whitened_residuals)
     search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_effects=lambda *_, **__: model))
     supported, contradicted = (cross_validated_errors(data, 0, search) for data in (follows, opposes))
     assert supported.log_odds_of_model == 0.0
@@ -121,7 +123,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 @pytest.mark.long
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
-    hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
+    hidden = replace(space, whitened_residuals=space.whitened_residuals + 8e-6 * space.project(wave))
     error = cross_validated_errors(hidden, 0, Searcher(hidden, 0))
     assert error.rms_with_model < 0.97 * error.rms_without_model
     assert error.log_odds_of_model == 0.0

@@ -107,7 +107,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     members = [Hypothesis(e, -3.0, 0.0, e.name) for e in effects]
     designs = [space.whitened_design(e) for e in effects]
     left = [space.project(g) for g in designs]
-    whole = space.residuals + 9e-6 * left[0][:, 0]
+    whole = space.whitened_residuals + 9e-6 * left[0][:, 0]
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
@@ -134,7 +134,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
                 EmpiricalLaw(hit.place.stations, hit.place.targets, hit.response, hit.regressor, length_scale_index=k)
                 for k in scales
             ]
-            logs = np.array([alone(space, law, space.residuals, nothing) for law in laws])
+            logs = np.array([alone(space, law, space.whitened_residuals, nothing) for law in laws])
             exact = log_sum_exp(logs) + hit.log_prior
             assert hit.log_evidence == pytest.approx(float(exact), abs=0.02), (panel.responses[0], hit)
 
@@ -144,7 +144,7 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
     left = space.project(space.whitened_design(law))
     left /= np.linalg.norm(left)
-    residual = space.residuals + 20.0 * left[:, 0]
+    residual = space.whitened_residuals + 20.0 * left[:, 0]
     gains = []
     for extension in (np.zeros((space.n_equations, 0)), left):
         beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
@@ -171,7 +171,7 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     design_columns = space.whitened_design(found)
     left = space.project(design_columns)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.residuals)
+    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
@@ -217,7 +217,7 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
     design_columns = space.whitened_design(member.effect)
     left = space.project(design_columns)
-    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.residuals)
+    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.whitened_residuals)
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)

@@ -36,7 +36,7 @@ def space() -> ResidualSpace:
 def with_law(space: ResidualSpace, law: EmpiricalLaw, chi2: float) -> Model:
     """Model without members, whose residuals hold a law of a given chi-square."""
     design_columns = space.project(space.whitened_design(law))[:, 0]
-    return Model((), (), (), space.residuals + design_columns * np.sqrt(chi2) / np.linalg.norm(design_columns))
+    return Model((), (), (), space.whitened_residuals + design_columns * np.sqrt(chi2) / np.linalg.norm(design_columns))
 
 
 def at(space: ResidualSpace, *shares: float) -> list[Regressor]:

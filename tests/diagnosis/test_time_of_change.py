@@ -34,7 +34,7 @@ def posterior_of_time(
     """Estimate of the time of a change of `size` plausible sizes, from drawn readings."""
     space, draw = calculator.space, random_stream(seed, "time of change")
     values = size * effect.plausible_sizes * draw.standard_normal(len(effect.plausible_sizes))
-    noise = draw.standard_normal(len(space.residuals))
+    noise = draw.standard_normal(len(space.whitened_residuals))
     residuals = space.project((noise + space.whitened_design(effect) @ values)[:, None])[:, 0]
     base = Model((), (), (), residuals)
     every = effect.neighbours(space.sightings)

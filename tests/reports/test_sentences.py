@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
@@ -90,7 +90,7 @@ def test_cards_of_corrected_readings_name_the_corrected_finding(tmp_path: Path) 
 
 def test_the_evidence_of_an_effect_in_every_adjustment_is_not_called_a_failed_fit(tmp_path: Path) -> None:
     content = copy.deepcopy(samples.DIAGNOSIS)
-    content["findings"][0]["evidence"]["chi2_drop"] = 2.0 * MAX_LOG_EVIDENCE_GAIN
+    content["findings"][0]["evidence"]["chi2_drop"] = 2.0 * INFINITE_GAIN_SUBSTITUTE
     section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
     text = section.terminal_text()
     assert "its fall was not computed, because every compared adjustment contains this effect" in text

@@ -32,7 +32,7 @@ def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
     np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.whitened_residuals, rtol=1e-8)
     np.testing.assert_allclose(factor.retained_covariance(), inverse[:7, :7], rtol=1e-8)
-    for e, block in enumerate(factor.block_covariance()):
+    for e, block in enumerate(factor.eliminated_covariances()):
         at = slice(7 + 3 * e, 10 + 3 * e)
         np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8)
     hat = np.einsum("mi,ij,mj->m", dense, inverse, dense)

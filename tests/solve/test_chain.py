@@ -47,7 +47,9 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     for ours, theirs in zip(sparse.inverse_blocks_and_leverage, dense.inverse_blocks_and_leverage, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
     columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])
-    np.testing.assert_allclose(sparse.inverses_of_sets(columns), dense.inverses_of_sets(columns), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        sparse.inverse_submatrices(columns), dense.inverse_submatrices(columns), rtol=1e-7, atol=1e-9
+    )
 
 
 def test_sets_that_are_far_apart_are_answered_too():
@@ -55,7 +57,7 @@ def test_sets_that_are_far_apart_are_answered_too():
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
     block_of = sparse._schur_factor.block_of_column
     far = np.array([[int(np.argmin(block_of)), int(np.argmax(block_of))]])
-    np.testing.assert_allclose(sparse.inverses_of_sets(far), dense.inverses_of_sets(far), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.inverse_submatrices(far), dense.inverse_submatrices(far), rtol=1e-7, atol=1e-9)
 
 
 def test_damping_is_that_of_the_unit_diagonal():

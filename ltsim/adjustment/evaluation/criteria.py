@@ -241,7 +241,7 @@ def evaluate_criteria(
     if construction is not None and parameter_values is not None:
         corrected_clouds = station_point_clouds(
             recording,
-            measured_points(_subtract_change(recording, reading_changes), construction, parameter_values),
+            measured_points(_subtract_reading_changes(recording, reading_changes), construction, parameter_values),
             row_mask,
         )
     if len(recording.stations) < 2:
@@ -265,7 +265,7 @@ def evaluate_criteria(
     )
 
 
-def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Recording:
+def _subtract_reading_changes(recording: Recording, reading_changes: Floats | None) -> Recording:
     """Recording from whose readings the changes `reading_changes` (pointings, 3) [m, rad, rad] are subtracted."""
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
@@ -355,7 +355,7 @@ def verify_against_nominal(
             distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
         )
     after = disagreements_of_points(
-        measured_points(_subtract_change(recording, reading_changes), construction, parameter_values)
+        measured_points(_subtract_reading_changes(recording, reading_changes), construction, parameter_values)
     )
     return CriteriaEntry(
         distance=CriterionEntry.from_differences(distance, after[0]),

@@ -11,7 +11,7 @@ from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_sided_chi2_p_value
-from ltsim.adjustment.quality import network_warnings, require_usable
+from ltsim.adjustment.quality import network_warnings, require_usable_adjustment
 from ltsim.adjustment.reference_tests import scaled_reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
@@ -44,7 +44,7 @@ def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> 
         plain = adjust(
             recording, effects=motions, robust=bool(motions), tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
         )
-        require_usable(plain)
+        require_usable_adjustment(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
     return plain
@@ -158,7 +158,7 @@ def network_items(
         for test in fitted.rejected_references
     ]
     if fitted.solution.has_converged and fitted.dof > 0:
-        use, any_rejected = fitted.problem.is_used_reading, fitted.is_rejected.any()
+        use, any_rejected = fitted.problem.is_used_reading, fitted.is_rejected_reading.any()
         requires_new_adjustment = any_rejected or uses_target_noise or len(motions) > len(adjustment_or_error.effects)
         adjustment = (
             adjust(recording, effects=motions, reading_mask=use, tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS)
@@ -210,7 +210,7 @@ def _target_agreement_items(
     other tests already report; these are left out. `noise_text` states the estimated noise; it is empty for the
     declared noise.
     """
-    recording, out = adjustment.recording, adjustment.is_rejected.any(axis=1) & ~is_explained
+    recording, out = adjustment.recording, adjustment.is_rejected_reading.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
     p = test_family.corrected_p_value(alone)
     scatter = f"sigma0 is {adjustment.sigma0:.2f}, expected is 1 ({adjustment.dof} degrees of freedom)"

@@ -36,7 +36,7 @@ MIN_INSTRUMENT_SINGULAR_VALUE = 0.1
 The singular values are those of the whitened design columns of the instrument errors, scaled by their prior standard
 deviations. Combinations with smaller values change the readings by less than their noise.
 """
-MIN_DETERMINED_FRACTION = 0.999
+MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
 """Smallest determined fraction of a parameter: squared length of the projection of its unit vector onto the space of
 determined parameters. A parameter with a smaller fraction is undetermined and gets an infinite variance."""
 
@@ -145,7 +145,7 @@ class StationOccupation:
             remainder = remainder - np.einsum("nik,kc->nic", self.instrument_basis, instrument_coefficients)
         return np.asarray(remainder)
 
-    def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
+    def _projected_unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
         """Projected columns (3 n, c) of a suspected cause, scaled to unit length, and the original lengths (c,).
 
         Column and length are 0 if target coordinates and instrument errors explain the cause. `design` (n, 3, c) is the
@@ -159,13 +159,13 @@ class StationOccupation:
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of a suspected cause; `design` (n, 3, c) is the change of n pointings per unit of its c parameters."""
-        unit, length = self._unit_columns(design)
+        unit, length = self._projected_unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
         is_valid = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
         coefficients = u[:, is_valid].T @ self.whitened_residuals.ravel()
         inverse = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = inverse @ inverse.T
-        is_undetermined = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
+        is_undetermined = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION_OF_PARAMETER
         covariance[is_undetermined, is_undetermined] = np.inf
         return ColumnsFit(float(coefficients @ coefficients), int(is_valid.sum()), inverse @ coefficients, covariance)
 
@@ -183,7 +183,7 @@ class StationOccupation:
 
         `design` (n, 3, c) is the change of the readings of n pointings per unit of each parameter.
         """
-        u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
+        u, size, _ = np.linalg.svd(self._projected_unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
         basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
@@ -209,7 +209,7 @@ class StationOccupation:
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
-    def target_point_sigma(self, target: int) -> float:
+    def target_repeatability(self, target: int) -> float:
         """Standard deviation [m] of a target's repeated points, rms over the axes; NaN with fewer than two points."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]
@@ -310,7 +310,7 @@ class TwoFaceDifferences:
             critical = -special.ndtri(alpha / (2 * pairs.half_differences.size))
             limit = critical * np.hypot(noise_sigma, specification_sigma)
         else:
-            metres = pairs.front_face_readings[:, 0]
+            metres = pairs.mean_front_face_readings[:, 0]
             allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
         return cls(pairs, corrected_pairs, noise_sigma, np.abs(corrected_pairs.half_differences) > limit, limit)
@@ -322,7 +322,7 @@ class TwoFacePairs:
 
     rows: Ints
     """Indices (m, 2) in the recording of the pointings on face 1 and face 2 of m pairs."""
-    front_face_readings: Floats
+    mean_front_face_readings: Floats
     """Mean range, azimuth and elevation of both faces of m pairs, as front-face readings, (m, 3) [m, rad, rad]."""
     half_differences: Floats
     """Half of face 1 minus face 2 of m pairs, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of
@@ -347,7 +347,7 @@ class TwoFacePairs:
         return replace(
             self,
             rows=self.rows[is_selected],
-            front_face_readings=self.front_face_readings[is_selected],
+            mean_front_face_readings=self.mean_front_face_readings[is_selected],
             half_differences=self.half_differences[is_selected],
         )
 

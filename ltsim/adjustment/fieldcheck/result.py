@@ -134,7 +134,7 @@ class SetupCheck(ValueEquality):
     """Half two-face differences; None if no target was measured on both faces."""
     occupation: StationOccupation | None
     """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
-    rows: Ints
+    row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotion, ...] = ()
     """Motions of the station that were detected during the occupation."""
@@ -146,7 +146,7 @@ class CheckArrays(ValueEquality):
 
     recording: Recording
     """Checked recording."""
-    setups: tuple[SetupCheck, ...]
+    setup_checks: tuple[SetupCheck, ...]
     """Tests of each set-up, in the order of the stations."""
 
 
@@ -181,7 +181,12 @@ class Check(ResultFile):
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network_items if item.kind == "mistake")
         other_network_items = (item for item in network_items if item.kind != "mistake")
-        items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *other_network_items)
+        items = (
+            *causes,
+            *mistakes,
+            *(item for setup in arrays.setup_checks for item in setup.items),
+            *other_network_items,
+        )
         result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
@@ -209,14 +214,14 @@ class Check(ResultFile):
     def _two_face_table(self) -> Table:
         """Data table of the half two-face differences with their limits, one row per pair."""
         rows, recording = [], self.arrays.recording
-        for setup in self.arrays.setups:
+        for setup in self.arrays.setup_checks:
             if (faces := setup.two_face_differences) is None:
                 continue
             sizes = np.concatenate([faces.uncorrected_pairs.half_differences, faces.half_difference_limits], axis=1) / (
                 2 * [MICROMETRE, ARCSECOND, ARCSECOND]
             )
             for at, size, over in zip(
-                setup.rows[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
+                setup.row_numbers[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
@@ -245,7 +250,7 @@ def _go_or_no_go_sentence(
         is_name_first = any(re.match(rf"{re.escape(name)}(?!\w)", reason) for name in names)
         reason = reason if is_name_first else f"{reason[:1].upper()}{reason[1:]}"
         return f"no-go: {reason}{more}"
-    n_setups = len(arrays.setups)
+    n_setups = len(arrays.setup_checks)
     return f"go: {n_setups} set-up{'s' if n_setups > 1 else ''} within noise and specification"
 
 

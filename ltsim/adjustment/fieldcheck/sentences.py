@@ -154,7 +154,7 @@ def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints)
     """
     recording = occupation.recording
     names = [recording.targets[t] for t in target_indices]
-    sigma_texts = [length_text(occupation.target_point_sigma(int(t))) for t in target_indices]
+    sigma_texts = [length_text(occupation.target_repeatability(int(t))) for t in target_indices]
     low, high = (f"{sigma_texts[i]} at {names[i]}" for i in (-1, 0))
     sentence = f"the targets cause this scatter ({low} to {high} along each axis), not distance or air"
     return sentence, tuple(names[: (len(names) + 1) // 2])

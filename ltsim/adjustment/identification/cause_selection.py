@@ -35,9 +35,9 @@ from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
-MAX_LOG_EVIDENCE_GAIN = float(np.finfo(np.float32).max)
+INFINITE_GAIN_SUBSTITUTE = float(np.finfo(np.float32).max)
 """Finite number instead of the infinite gain of log evidence of a hypothesis without which no fit is possible."""
-SHARED_CAUSE_KINDS = (
+SYSTEMATIC_CAUSE_KINDS = (
     "constant-offset",
     "constant-step",
     "constant-drift",
@@ -98,7 +98,7 @@ class SelectedHypothesis:
     def posterior_probabilities(self) -> Floats:
         """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
-        gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
+        gains = np.minimum(every, INFINITE_GAIN_SUBSTITUTE)
         return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
 
 
@@ -132,7 +132,7 @@ class CauseSelection:
         other reference values separately.
         """
         certain = self._decisively_supported_hypotheses
-        shared = [h for h in certain if h.kind in SHARED_CAUSE_KINDS]
+        shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
         reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
         large_reference_errors = [
             h for h in reference_errors if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE

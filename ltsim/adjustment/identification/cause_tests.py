@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
+from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE, CauseSelection, SelectedHypothesis
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of_kind
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
@@ -109,7 +109,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     """Test of one of the selected hypotheses of a fit."""
     h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
-    drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
+    drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, INFINITE_GAIN_SUBSTITUTE), 0.0), 1
     if isinstance(h.model_change, ReadingShiftChange):
         values, covariance = fit.estimate_and_covariance(h)
         drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
@@ -130,7 +130,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
         else None
     )
-    rows = _seating_rows(fit, h) if h.kind == "reflector-seating" else h.rows
+    rows = _seating_rows(fit, h) if h.kind == "reflector-seating" else h.row_numbers
     share = selected_hypothesis.posterior_probabilities.tolist()
     alternatives = tuple(
         AlternativeCause(
@@ -207,14 +207,14 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
     """Sentence on an accepted hypothesis that is not about centring errors."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
-        return hypothesis.name
+        return hypothesis.error_description
     if isinstance(hypothesis.model_change, NoiseFactor):
         return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
         miss, unit, factor = _misclosure_and_unit(fit, hypothesis)
         plural = hypothesis.model_change.reference_value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
-        phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.name}"
+        phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.error_description}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)

@@ -53,7 +53,7 @@ class _CentringPlace:
 
     centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors."""
-    occupation: Ints
+    occupation_indices: Ints
     """Index (n,) of the occupation to which each of n pointings belongs; -1 for other pointings."""
 
 
@@ -61,16 +61,18 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
     """Hypotheses of centring errors, each preceded by its gain of log evidence in the linear approximation at a fit."""
     places = _centring_places(fit.recording, residual_space.is_used_reading)
     squares = np.zeros(residual_space.is_used_reading.shape)
-    squares[residual_space.is_used_reading] = residual_space.residuals[: int(residual_space.is_used_reading.sum())] ** 2
-    largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
+    squares[residual_space.is_used_reading] = (
+        residual_space.whitened_residuals[: int(residual_space.is_used_reading.sum())] ** 2
+    )
+    largest_first = sorted(places, key=lambda place: -float(squares[place.occupation_indices >= 0].mean()))
     offers, entries = list[tuple[float, CauseHypothesis]](), 0
     for place in largest_first:
-        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_equations
+        entries += 3 * (int(place.occupation_indices.max()) + 1) * residual_space.n_equations
         if entries > MAX_SCREENED_ENTRIES:
             break
         offers.append(
             _log_evidence_gain_and_hypothesis(
-                place, *best_centring_sigma(residual_space, place.occupation)[:2], len(places)
+                place, *best_centring_sigma(residual_space, place.occupation_indices)[:2], len(places)
             )
         )
     return offers
@@ -102,7 +104,7 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothe
     places = _centring_places(fit.recording, fit.problem_with_all_readings.is_used_reading)
     offers = []
     for place in places:
-        rows = np.flatnonzero(place.occupation >= 0)
+        rows = np.flatnonzero(place.occupation_indices >= 0)
         if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT:
             offers.append(
                 _log_evidence_gain_and_hypothesis(
@@ -121,11 +123,11 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     """
     used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.sigma[rows]
     sightings = fit.adjustment.sightings
-    _, first, of = np.unique(place.occupation[rows], return_index=True, return_inverse=True)
+    _, first, of = np.unique(place.occupation_indices[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
     residual = np.where(used, fit.residuals[rows], 0.0)
     for _ in range(MAX_ITERATIONS):
-        moved = np.zeros((len(place.occupation), 3))
+        moved = np.zeros((len(place.occupation_indices), 3))
         moved[rows] = displacement[of]
         offsets = moved if sightings.sight_vector_offsets is None else moved + sightings.sight_vector_offsets
         residual = np.where(used, (fit.residuals - exact_change_by_displacement(sightings, moved))[rows], 0.0)
@@ -145,7 +147,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     free = displacement.ravel() - motion @ np.linalg.lstsq(motion, displacement.ravel())[0]
     components = len(free) - motion.shape[1]
     variance = float(free @ free) / components
-    saved = _robust_misfit_cost(fit, fit.whitened_residuals[rows][used]) - _robust_misfit_cost(
+    saved = _negative_log_evidence(fit, fit.whitened_residuals[rows][used]) - _negative_log_evidence(
         fit, (residual / sigma)[used]
     )
     strength = np.linalg.eigvalsh(normal).clip(0.0)
@@ -154,7 +156,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     return gain, float(np.sqrt(variance))
 
 
-def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
+def _negative_log_evidence(fit: NetworkFit, whitened_residuals: Floats) -> float:
     """Negative log evidence of the whitened residuals (r,) of r readings.
 
     Each residual counts as noise or as an outlier, whichever is more likely.
@@ -200,16 +202,16 @@ class CentringEstimate(NamedTuple):
     """
 
 
-def best_centring_sigma(residual_space: ResidualSpace, occupation: Ints) -> CentringEstimate:
+def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringEstimate:
     """Maximum likelihood estimate of the standard deviation of centring errors.
 
-    `occupation` (n,) is the index of the occupation of each of n pointings; -1 for pointings without centring errors.
+    `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
     """
-    design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation))
+    design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation_indices))
     projected = residual_space.project(design_columns)
     strength, turn = np.linalg.eigh(projected.T @ projected)
     visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
-    strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ residual_space.residuals)) ** 2
+    strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ residual_space.whitened_residuals)) ** 2
     variance = CENTRING_SIGMA_GRID[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
     best = int(np.argmax(ratio))

@@ -26,9 +26,9 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
+    hypothesis_with_centring_sigma,
     start_parameter_values,
     subtract_shifts,
-    with_centring_sigma,
 )
 from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
@@ -55,7 +55,7 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution, solve
 
 MAX_NOISE_ITERATIONS = 3
 """Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
@@ -85,7 +85,7 @@ class FitInput:
 class NetworkFit:
     """Network fitted with some hypotheses in its model; readings that contradict the model are rejected as outliers."""
 
-    network: FitInput
+    fit_input: FitInput
     """Input of the fit."""
     hypotheses: tuple[CauseHypothesis, ...]
     """Hypotheses in the model."""
@@ -98,14 +98,14 @@ class NetworkFit:
 
     @classmethod
     def references_with_large_residuals(
-        cls, network: FitInput, hypotheses: Sequence[CauseHypothesis]
+        cls, fit_input: FitInput, hypotheses: Sequence[CauseHypothesis]
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
         Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. An adjustment with such a
         reference value would distort the whole network.
         """
-        problem, start = cls._make_problem(network, hypotheses)
+        problem, start = cls._make_problem(fit_input, hypotheses)
         relaxed_problem = with_nonzero_reference_sigmas(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_SIGMAS_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
@@ -115,7 +115,7 @@ class NetworkFit:
     @classmethod
     def from_start(
         cls,
-        network: FitInput,
+        fit_input: FitInput,
         hypotheses: Sequence[CauseHypothesis] = (),
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
@@ -126,18 +126,18 @@ class NetworkFit:
         The fit starts at `start_state`, by default at `robust_state`, the state of a robust fit, which is computed if
         it is None. With `approximate_sightings` the start values of the shifts are first subtracted from the readings.
         """
-        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
+        fit = cls._with_hypotheses(fit_input, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ITERATIONS):
-            revised = tuple(with_centring_sigma(h, fit.estimate_and_covariance) for h in fit.hypotheses)
+            revised = tuple(hypothesis_with_centring_sigma(h, fit.estimate_and_covariance) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
                 break
-            fit = cls._with_hypotheses(network, revised, fit.state)
+            fit = cls._with_hypotheses(fit_input, revised, fit.state)
         return fit if fit.solution.has_converged and fit._determines_shifts else None
 
     @classmethod
     def _with_hypotheses(
         cls,
-        network: FitInput,
+        fit_input: FitInput,
         hypotheses: tuple[CauseHypothesis, ...],
         start_state: NetworkState | None,
         approximate_sightings: Sightings | None = None,
@@ -145,12 +145,12 @@ class NetworkFit:
     ) -> NetworkFit:
         """Fit as in `from_start`, but with fixed standard deviations of centring errors, those in the hypotheses."""
         is_first = start_state is None
-        problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
+        problem, start_state = cls._make_problem(fit_input, hypotheses, start_state, approximate_sightings)
         if is_first:
             start = robust_state or fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
-        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_ALTERNATIONS))
+        fit = cls(fit_input, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_DECISION_CHANGES))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
@@ -193,13 +193,13 @@ class NetworkFit:
 
     @staticmethod
     def _make_problem(
-        network: FitInput,
+        fit_input: FitInput,
         hypotheses: Sequence[CauseHypothesis],
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
         """Least-squares problem with all usable readings, and start state; the parameters are those of `from_start`."""
-        recording = apply_corrections_and_omissions(network.recording, hypotheses)
+        recording = apply_corrections_and_omissions(fit_input.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start_state is None:
             reached, lost = initial_network(
@@ -208,17 +208,17 @@ class NetworkFit:
                 else subtract_shifts(recording, hypotheses, approximate_sightings)
             )
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
-            parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
-            start_state = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
+            parameters = np.zeros((len(recording.instruments), fit_input.construction.n_parameters))
+            start_state = NetworkState(*reached, parameters if fit_input.prior is None else fit_input.prior.mean)
         recording = with_plumb_lines(recording, start_state.station_positions)
         effects = tuple(h.model_change.effect for h in hypotheses if isinstance(h.model_change, ReadingShiftChange))
-        model = MeasurementModel(recording, network.construction, effects)
+        model = MeasurementModel(recording, fit_input.construction, effects)
         if len(start_state.extra_parameters) != model.n_extra_parameters:
             start_state = replace(
                 start_state,
                 extra_parameters=start_parameter_values(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
-        usable = np.ones((len(recording), 3), dtype=bool) if (mask := network.is_usable_reading) is None else mask
+        usable = np.ones((len(recording), 3), dtype=bool) if (mask := fit_input.is_usable_reading) is None else mask
         sigma = recording.sigma()
         for h in hypotheses:
             if isinstance(h.model_change, NoiseFactor):
@@ -228,7 +228,7 @@ class NetworkFit:
             sigma=sigma,
             reading_mask=usable & ~lost[recording.target][:, None],
             effect_prior_sigma=WEAK_SHIFT_PRIOR_FACTOR,
-            prior=network.prior,
+            prior=fit_input.prior,
         )
         positions = problem.marks.positions_on_marks(start_state.station_positions, start_state.target_points)
         return problem, replace(start_state, station_positions=positions)
@@ -244,18 +244,18 @@ class NetworkFit:
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH:
-                problem, solution = snoop_readings(whole, fit.state, MAX_ALTERNATIONS)
+                problem, solution = snoop_readings(whole, fit.state, MAX_DECISION_CHANGES)
             fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
 
     def _estimated_sigmas(self) -> Floats:
         """Standard deviations (n, 3) [m, rad, rad] of n pointings: declared ones times estimated noise factors."""
-        declared, is_used = self.network.recording.sigma(), self.problem.is_used_reading
+        declared, is_used = self.fit_input.recording.sigma(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
-    def residuals_of(self, recording: Recording) -> Floats:
+    def residuals_of_recording(self, recording: Recording) -> Floats:
         """Readings (n, 3) of `recording`, which has the same n pointings, minus predicted readings [m, rad, rad]."""
         gap = recording.readings - self.problem.model.predict(self.state)
         gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -341,7 +341,7 @@ class NetworkFit:
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
         """Misclosure (q,) [m, rad] of q components of an excluded value; 0 at a set-up with all readings rejected."""
-        declared, centring = self.network.recording, self.problem.model.recording.setup.centring
+        declared, centring = self.fit_input.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
         problem = NetworkProblem.from_model(model, reading_mask=self.problem.is_used_reading)
@@ -384,7 +384,7 @@ class NetworkFit:
             )
         if isinstance(change, NoiseFactor):
             chosen = change.reading_mask & self.problem.is_used_reading
-            ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
+            ratio = self.problem.sigma[chosen] / self.fit_input.recording.sigma()[chosen]
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):

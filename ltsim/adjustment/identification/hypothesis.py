@@ -111,9 +111,9 @@ class CauseHypothesis:
     """Logarithm of the prior odds of this hypothesis relative to no error."""
     model_change: ModelChange
     """Change of the model by the cause."""
-    name: str = ""
+    error_description: str = ""
     """Name of a wrong reference value, or sentence on wrongly recorded pointings; else empty."""
-    rows: tuple[int, ...] = ()
+    row_numbers: tuple[int, ...] = ()
     """Row numbers, from 1, of wrongly recorded pointings; empty for other kinds."""
 
     @property
@@ -122,7 +122,7 @@ class CauseHypothesis:
 
         Hypotheses with equal keys differ only in their onset time and start values.
         """
-        return self.kind, self.acts_on, self.stations, self.targets, self.rows
+        return self.kind, self.acts_on, self.stations, self.targets, self.row_numbers
 
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.

@@ -21,14 +21,14 @@ MAX_TRIMMED_FITS = 2
 
 
 @dataclass(frozen=True)
-class LocalShift:
+class LocalShiftProblem:
     """Least-squares problem of one shift, whitened: design and residuals of the m readings that the shift changes."""
 
     unit_columns: Floats
     """Design columns (m, r) of the r parameters that change some of the m readings, scaled to unit length."""
     column_lengths: Floats
     """Lengths (r,) of the r design columns before scaling."""
-    residuals: Floats
+    whitened_residuals: Floats
     """Whitened residuals (m,) of the m readings in the network without the shift."""
     is_outlier: Bools
     """Flags (m,), True for those of the m readings that are outliers of the network fit without the shift."""
@@ -36,7 +36,7 @@ class LocalShift:
     """Flags (q,), True for those r of the q parameters of the shift that change any of the m readings."""
 
     @classmethod
-    def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:
+    def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShiftProblem:
         """Problem of a shift with q parameters, from arrays over the three readings of n pointings.
 
         The arrays are the whitened design (n, 3, q), the whitened residuals (n, 3) and the outlier flags (n, 3).
@@ -55,21 +55,21 @@ class LocalShift:
         return bool(self.is_outlier.any() and self.is_acting_parameter.any())
 
 
-def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
+def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -> list[tuple[float, Floats]]:
     """Decrease of the negative log likelihood by each shift, and robust estimate (q,) of its q parameters.
 
     In this likelihood each reading contributes at most `outlier_cost`, so that outliers do not distort the estimate.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):
-        count, rank = len(shifts[batch[-1]].residuals), len(shifts[batch[0]].column_lengths)
+        count, rank = len(shifts[batch[-1]].whitened_residuals), len(shifts[batch[0]].column_lengths)
         unit, residual = np.zeros((len(batch), count, rank)), np.zeros((len(batch), count))
         out, valid = np.zeros((2, len(batch), count), dtype=bool)
         for k, shift in enumerate(shifts[i] for i in batch):
-            rows = slice(len(shift.residuals))
+            rows = slice(len(shift.whitened_residuals))
             unit[k, rows], residual[k, rows], out[k, rows], valid[k, rows] = (
                 shift.unit_columns,
-                shift.residuals,
+                shift.whitened_residuals,
                 shift.is_outlier,
                 True,
             )
@@ -85,7 +85,7 @@ def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[
     return [fits[i] for i in range(len(shifts))]
 
 
-def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
+def _batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
     """Batches of indices of shifts with equal numbers of parameters, ordered by the number of readings.
 
     The design matrices of a batch together have at most `MAX_TEMPORARY_ENTRIES` entries.

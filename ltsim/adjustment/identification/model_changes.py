@@ -82,7 +82,7 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[C
     return recording
 
 
-def with_centring_sigma(
+def hypothesis_with_centring_sigma(
     hypothesis: CauseHypothesis, estimate_function: Callable[[CauseHypothesis], tuple[Floats, Floats]]
 ) -> CauseHypothesis:
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.

@@ -11,7 +11,7 @@ from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
-READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
+NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
 """Texts of the readings that a noise hypothesis acts on, for hypotheses on more than one observable."""
 
 
@@ -19,17 +19,17 @@ def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> floa
     """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
-    return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
+    return float(np.median(fit.problem.sigma[mask] / fit.fit_input.recording.sigma()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on an accepted noise hypothesis, with the factor on the declared noise and the noise to declare."""
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
-    readings_text = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
+    readings_text = NOISE_READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
     cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the set-up"
     factor = estimated_noise_factor(fit, hypothesis)
-    origin = noise_origin(fit.network.recording.notes)
+    origin = noise_origin(fit.fit_input.recording.notes)
     return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the {origin} one: {cure}."
 
 
@@ -39,7 +39,7 @@ def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     It contains the values to declare, for a single instrument and a recording without columns of standard deviations.
     """
     assert isinstance(hypothesis.model_change, NoiseFactor)
-    recording, mask = fit.network.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
+    recording, mask = fit.fit_input.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
         return "declare this noise in the set-up"
     factors = fit.problem.sigma / recording.sigma()

@@ -32,7 +32,7 @@ from ltsim.adjustment.identification.hypothesis_library import (
     row_corrections,
     shift_candidates,
 )
-from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
+from ltsim.adjustment.identification.local_shifts import LocalShiftProblem, fit_local_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reference_values import with_nonzero_reference_sigmas
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
@@ -80,9 +80,9 @@ def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
         offers += [(gain + behind, h) for gain, h in _length_scale_hypothesis(fit, space)]
         offers += [(gain + behind, h) for gain, h in centring_hypotheses(fit, space)]
     if fit.is_outlier.any():
-        offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
+        offers += [(_gain_by_outliers(fit, np.array(h.row_numbers) - 1) + h.log_prior, h) for h in row_corrections(fit)]
         offers += [
-            (_outlier_log_evidence(fit, _affected_pointings(fit, h)) + h.log_prior, h)
+            (_gain_by_outliers(fit, _affected_pointings(fit, h)) + h.log_prior, h)
             for h in reference_omissions(fit)
             if h.targets or h.stations
         ]
@@ -143,7 +143,7 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
             size = residual_space.norms_without_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
-            score = np.einsum("mhi,m->hi", unit, residual_space.residuals)
+            score = np.einsum("mhi,m->hi", unit, residual_space.whitened_residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
             visible = strength > MAX_SOLUTION_ROUNDING_ERROR
@@ -165,18 +165,17 @@ def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -
     return residual_space.whiten(design)
 
 
-def _approximate_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidates, without projection.
 
     Each gain uses only the residuals of the readings that the candidate shifts, weighted by their redundancy numbers.
     """
-    use, count = residual_space.is_used_reading, int(residual_space.is_used_reading.sum())
+    use, count = space.is_used_reading, int(space.is_used_reading.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
-    residual[use], share[use] = residual_space.residuals[:count], np.maximum(residual_space.redundancy[:count], 1e-3)
+    residual[use], share[use] = space.whitened_residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
     gains = np.empty(len(candidates))
     weighted = {
-        id(c.family): np.where(use[:, :, None], c.family.design / residual_space.sigma[:, :, None], 0.0)
-        for c in candidates
+        id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in candidates
     }
     for i, c in enumerate(candidates):
         g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
@@ -210,13 +209,13 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
         for c in candidates
     }
     gross = np.asarray(fit.is_outlier.any(axis=1))
-    trials = list[tuple[int, float, LocalShift]]()
+    trials = list[tuple[int, float, LocalShiftProblem]]()
     for i, c in enumerate(candidates):
         for sign, rows in ((1.0, c.affected_rows), (-1.0, c.earlier_rows)):
             out = int(gross[rows].sum())
             if 4 * out < len(rows) or 3 * out < c.family.design.shape[2] or not out:
                 continue
-            shift = LocalShift.from_design(
+            shift = LocalShiftProblem.from_design(
                 weighted[id(c.family)][rows], fit.whitened_residuals[rows], fit.is_outlier[rows]
             )
             trials += [(i, sign, shift)] if shift.has_outliers_and_parameters else []
@@ -311,7 +310,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
             continue
         use = c.affected_rows[fit.problem_with_all_readings.is_used_reading[c.affected_rows, 0]]
         g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
-        r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
         acts = g != 0.0
         if not acts.any():
             continue
@@ -324,16 +323,16 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
 def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
     """New fit without the distances of the pointings `rows`; None if the network needs these distances."""
-    readings = fit.network.recording.readings.copy()
+    readings = fit.fit_input.recording.readings.copy()
     readings[rows, 0] = np.nan
-    network = replace(fit.network, recording=fit.network.recording.with_readings(readings))
+    fit_input = replace(fit.fit_input, recording=fit.fit_input.recording.with_readings(readings))
     try:
-        return NetworkFit.from_start(network, fit.hypotheses)
+        return NetworkFit.from_start(fit_input, fit.hypotheses)
     except NetworkError:
         return None
 
 
-def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
+def _gain_by_outliers(fit: NetworkFit, pointing_indices: Ints) -> float:
     """Gain of log evidence if all outliers among some pointings are explained, from their Occam factors and priors."""
     is_outlier = fit.is_outlier[pointing_indices]
     w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
@@ -358,7 +357,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
         tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
     for h in reference_omissions(fit):
-        test = tests.get((h.acts_on, h.name))
+        test = tests.get((h.acts_on, h.error_description))
         if test is not None and test.rank:
             offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers

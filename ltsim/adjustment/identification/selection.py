@@ -43,7 +43,7 @@ from ltsim.solve.threads import single_threaded
 
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
-MAX_CAUSES_BEFORE_CENTRING = 3
+MAX_CAUSES_COMPARED_WITH_CENTRING = 3
 """Largest number of other causes whose joint log evidence is compared with the log evidence of centring errors."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Smallest number of pointings of a network whose causes are not searched if the global test accepts it (saves 5 s of
@@ -66,14 +66,14 @@ repeated from new start values instead of the present state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
 """Smallest approximate gain of log evidence for which a fit is repeated from new start values: that of a shift of ten
 standard deviations. A smaller shift hardly changes the converged state."""
-MIN_GAIN_FRACTION_TRUSTED = 0.8
+MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
 """Ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening, above
 which only hypotheses that may explain the same readings are fitted too."""
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a sudden station motion, in its standard deviations, for which other times of the motion are fitted;
 a smaller motion does not distort the network.
 """
-Trials = tuple[tuple[CauseHypothesis, NetworkFit], ...]
+RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were fitted in addition to a fit, each with the fit that contains it; the best fit first."""
 
 
@@ -89,25 +89,25 @@ class CauseSelectionState:
     """Hypotheses of the initial fit."""
     indispensable_hypotheses: tuple[CauseHypothesis, ...] = ()
     """Hypotheses without which no fit was possible in an earlier step."""
-    fit_before_trials: NetworkFit | None = None
-    """Fit to which the `trials` were added; None if a later step changed their fit."""
-    trials: Trials = ()
-    """Trials of the latest forward step, whose first fit is `fit`; empty if a later step changed it."""
+    fit_before_trial_fits: NetworkFit | None = None
+    """Fit to which the `trial_fits` were added; None if a later step changed their fit."""
+    trial_fits: RankedTrialFits = ()
+    """Trial fits of the latest forward step, whose first fit is `fit`; empty if a later step changed it."""
 
-    def trials_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, Trials] | None:
-        """Fit without a hypothesis and the trials in its place; None unless it is the last one of a forward step."""
-        hypotheses, before = self.fit.hypotheses, self.fit_before_trials
+    def trial_fits_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, RankedTrialFits] | None:
+        """Fit without a hypothesis and the trial fits in its place; None unless it is the last of a forward step."""
+        hypotheses, before = self.fit.hypotheses, self.fit_before_trial_fits
         is_last = before is not None and hypothesis is hypotheses[-1] and before.hypotheses == hypotheses[:-1]
-        return (before, self.trials) if before is not None and is_last else None
+        return (before, self.trial_fits) if before is not None and is_last else None
 
 
 @single_threaded
-def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) -> CauseSelection:
+def select_causes(fit_input: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) -> CauseSelection:
     """Causes of errors in a recording that increase the log evidence of the network.
 
     Parameters
     ----------
-    network : FitInput
+    fit_input : FitInput
     min_gain : float
         Smallest gain of log evidence by a selected cause.
 
@@ -116,7 +116,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     NetworkError
         If the readings determine no network with any hypothesis.
     """
-    initial_fit = _initial_fit(network)
+    initial_fit = _initial_fit(fit_input)
     state = CauseSelectionState(initial_fit, min_gain, initial_fit.hypotheses)
     is_growing = True
     while True:
@@ -139,14 +139,14 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
     fit = state.fit
     if len(fit.hypotheses) >= MAX_SELECTED_HYPOTHESES or _is_consistent_as_a_whole(fit):
         return None
-    trials = _fit_best_hypotheses(fit)
+    trial_fits = _fit_best_hypotheses(fit)
     needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
-    if not trials or trials[0][1].log_evidence < fit.log_evidence + needed:
+    if not trial_fits or trial_fits[0][1].log_evidence < fit.log_evidence + needed:
         return None
-    best = _refine_motion_time(trials[0][1])
-    if isinstance(trials[0][0].model_change, CentringChange):
+    best = _refine_motion_time(trial_fits[0][1])
+    if isinstance(trial_fits[0][0].model_change, CentringChange):
         best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
-    return replace(state, fit=best, fit_before_trials=fit, trials=trials)
+    return replace(state, fit=best, fit_before_trial_fits=fit, trial_fits=trial_fits)
 
 
 def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
@@ -163,13 +163,13 @@ def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
         rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
         if rest is not None and rest.log_evidence > fit.log_evidence - state.min_gain:
             fit = rest
-    is_trial = bool(state.trials) and fit is state.trials[0][1]
+    is_trial = bool(state.trial_fits) and fit is state.trial_fits[0][1]
     return replace(
         state,
         fit=fit,
         indispensable_hypotheses=indispensable,
-        fit_before_trials=state.fit_before_trials if is_trial else None,
-        trials=state.trials if is_trial else (),
+        fit_before_trial_fits=state.fit_before_trial_fits if is_trial else None,
+        trial_fits=state.trial_fits if is_trial else (),
     )
 
 
@@ -182,7 +182,7 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
     fit, indispensable = state.fit, state.indispensable_hypotheses
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in state.initial_hypotheses]
     for h in fit.hypotheses[len(choices) :]:
-        rest_and_trials = state.trials_in_place_of(h)
+        rest_and_trials = state.trial_fits_in_place_of(h)
         if rest_and_trials is None:
             rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
         else:
@@ -191,12 +191,12 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
         gain = fit.log_evidence - rest.log_evidence
-        trials = (
+        trial_fits = (
             _fit_best_hypotheses(rest, gain + float(np.log(MIN_REPORTED_PROBABILITY)), h)
             if rest_and_trials is None
             else rest_and_trials[1]
         )
-        others = [(other, made) for other, made in trials if other.place_key != h.place_key]
+        others = [(other, made) for other, made in trial_fits if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + state.min_gain:
             return CauseSelectionState(others[0][1], state.min_gain, state.initial_hypotheses, indispensable)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
@@ -208,11 +208,11 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
 
 
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
-    """Fit with up to `MAX_CAUSES_BEFORE_CENTRING` more causes, as alternative to the fit `rival` with centring errors.
+    """Fit with up to `MAX_CAUSES_COMPARED_WITH_CENTRING` more causes, instead of the fit `rival` with centring errors.
 
     Centring errors also fit the sum of several other causes. Each additional cause gains at least `min_gain_needed`.
     """
-    for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
+    for n_remaining in range(MAX_CAUSES_COMPARED_WITH_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
         tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactor))
         if not tried or tried[0][1].log_evidence < fit.log_evidence + min_gain_needed:
@@ -256,7 +256,7 @@ def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]
 def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
     """Fit with other hypotheses that starts at the state of `fit`; None if no fit is possible."""
     try:
-        return NetworkFit.from_start(fit.network, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
+        return NetworkFit.from_start(fit.fit_input, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         return None
 
@@ -295,24 +295,24 @@ def identify_causes(
         return None
 
 
-def _initial_fit(network: FitInput) -> NetworkFit:
+def _initial_fit(fit_input: FitInput) -> NetworkFit:
     """Initial fit with corrected units and senses of rotation of set-ups, and without clearly wrong reference values.
 
     Such errors would distort the network too much for other tests.
     """
-    corrections = convention_corrections(network.recording)
-    far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
-    if any(value.kind == "point" for value in far) and (names := reference_point_exchanges(network.recording)):
+    corrections = convention_corrections(fit_input.recording)
+    far, count, state = NetworkFit.references_with_large_residuals(fit_input, corrections)
+    if any(value.kind == "point" for value in far) and (names := reference_point_exchanges(fit_input.recording)):
         corrections = [*corrections, *names]
-        far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
+        far, count, state = NetworkFit.references_with_large_residuals(fit_input, corrections)
     omitted = (
-        omissions_of_reference_values(network.recording, far)
+        omissions_of_reference_values(fit_input.recording, far)
         if MIN_REFERENCES_PER_WRONG_REFERENCE * len(far) <= max(count, MIN_REFERENCES_PER_WRONG_REFERENCE)
         else []
     )
-    fit = NetworkFit.from_start(network, (*corrections, *omitted), robust_state=None if omitted else state)
+    fit = NetworkFit.from_start(fit_input, (*corrections, *omitted), robust_state=None if omitted else state)
     if fit is None and (corrections or omitted):
-        fit = NetworkFit.from_start(network)
+        fit = NetworkFit.from_start(fit_input)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")
     return fit
@@ -324,7 +324,7 @@ def _fit_best_hypotheses(
     replaced_hypothesis: CauseHypothesis | None = None,
     *,
     excluded_change_types: tuple[type, ...] = (),
-) -> Trials:
+) -> RankedTrialFits:
     """Fits with one more hypothesis, for the hypotheses with the largest approximate gains.
 
     The approximate gains exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches its
@@ -348,7 +348,7 @@ def _fit_best_hypotheses(
             continue
         if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue
-        if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
+        if tried and best > MIN_GAIN_FRACTION_FOR_RIVALS_ONLY * first and not hypothesis.competes_with(tried[0][0]):
             continue
         made = refit_with_hypothesis(fit, hypothesis, promised)
         if made is None:
@@ -368,7 +368,7 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approxim
     near = fit.adjustment.sightings
     for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
         try:
-            made = NetworkFit.from_start(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
+            made = NetworkFit.from_start(fit.fit_input, (*fit.hypotheses, hypothesis), start, None if start else near)
         except LtsimError:
             made = None
         if made is not None and (best_fit is None or made.log_evidence > best_fit.log_evidence):

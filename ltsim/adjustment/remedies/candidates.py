@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -47,7 +47,7 @@ N_GRID_POSITIONS_PER_SIDE = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_CANDIDATE_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
-BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
+REPEATED_SETUP_BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups of a recording from which on no additional station is evaluated, to limit the computing time."""
@@ -135,7 +135,7 @@ class CandidateMeasurement:
     @property
     def added_setup_on_floor_plan(self) -> tuple[Floats, float] | None:
         """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None without such a set-up."""
-        state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
+        state, plan = self.network.state, FloorPlanTransform.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
             if self.kind in CANDIDATE_KINDS_WITH_SETUP
@@ -144,7 +144,7 @@ class CandidateMeasurement:
 
 
 @dataclass(frozen=True)
-class FloorPlan:
+class FloorPlanTransform:
     """Transformation from the frame of the network to the floor plan; the identity if there is no floor plan.
 
     Positions on a plan are approximate, but levels are accurate: the plan determines no tilts of the network.
@@ -158,12 +158,12 @@ class FloorPlan:
     """True if the set-up declares positions of stations on a floor plan."""
 
     @classmethod
-    def from_recording(cls, recording: Recording, state: NetworkState) -> FloorPlan:
+    def from_recording(cls, recording: Recording, state: NetworkState) -> Self:
         """Transformation to the floor plan, from the stations of an adjusted network."""
         return cls.from_positions(recording.setup, recording.stations, state.station_positions, state.station_rotations)
 
     @classmethod
-    def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
+    def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> Self:
         """Transformation to the floor plan, from positions (S, 3) [m] and rotations (S, 3, 3) of S stations."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         station_indices = [i for i, station in setups.items() if station.position_mm is not None]
@@ -231,7 +231,7 @@ def pointing_candidates(
     unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # the mark under the tripod cannot be measured
     if visibility_function is not None:
         places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
-        plan = FloorPlan.from_recording(recording, network.state)
+        plan = FloorPlanTransform.from_recording(recording, network.state)
         unseen = unseen[visibility_function(*map(plan.positions_on_plan, places))[0]]
     if len(unseen):
         yield candidate("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
@@ -249,12 +249,12 @@ def repeated_setup_candidates(
     for s in indices if stations is None else stations:
         target = _targets_in_order(recording.target[_setup_rows(recording, s)])
         if len(target):
-            words = advice_sentence("turned", station=recording.stations[s], turn=BASE_ROTATION / DEGREE)
+            words = advice_sentence("turned", station=recording.stations[s], turn=REPEATED_SETUP_BASE_ROTATION / DEGREE)
             grown = network.with_station(
                 _unused_station_name(recording),
                 s,
                 state.station_positions[s],
-                state.station_rotations[s] @ rotation_about_z(BASE_ROTATION),
+                state.station_rotations[s] @ rotation_about_z(REPEATED_SETUP_BASE_ROTATION),
             )
             yield _setup_candidate("return", words, grown, target, seconds_per_move)
 
@@ -266,7 +266,7 @@ def station_candidates(
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
         return
-    plan, name = FloorPlan.from_recording(recording, state), _unused_station_name(recording)
+    plan, name = FloorPlanTransform.from_recording(recording, state), _unused_station_name(recording)
     frame = "floor plan" if plan.has_plan else f"frame of {recording.stations[0]}"
     travel = recording.instrument_of(recording.stations[0]).limits or ElevationLimits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)

@@ -73,7 +73,7 @@ class PlannedNetwork:
         """Posterior covariances (I, p, p) [SI] of p parameters of I instruments; prior standard deviations (I, p)."""
         adjustment = self.make_adjustment()
         problem = adjustment.problem
-        return adjustment.covariances_of_sets(problem.unknowns.instrument_columns), problem.prior.sigma
+        return adjustment.covariance_submatrices(problem.unknowns.instrument_columns), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:

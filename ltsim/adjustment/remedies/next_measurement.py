@@ -80,9 +80,9 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
     best_so_far: Explanation | None = None
-    least = float(residual_space.residuals @ residual_space.residuals)
+    least = float(residual_space.whitened_residuals @ residual_space.whitened_residuals)
     for effect in kind.candidates(residual_space.sightings):
-        values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.residuals)
+        values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.whitened_residuals)
         if sum_of_squares < least:
             least, best_so_far = sum_of_squares, Explanation(effect, values)
     if best_so_far is None:

@@ -146,28 +146,28 @@ class MeasurementForCombination(NamedTuple):
 def measurements_for_undetermined(
     adjustment: Adjustment,
     construction: GeometricErrorModel,
-    directions: Sequence[Sequence[ParameterCombination]],
+    weak_combinations: Sequence[Sequence[ParameterCombination]],
     suspect_targets: Sequence[str] = (),
 ) -> list[list[MeasurementForCombination]]:
     """Measurements that determine the undetermined combinations of each instrument.
 
     The proposal for a combination is the first measurement that increases its gain (fraction of the prior variance that
-    readings remove) above one half, or otherwise the measurement with the largest increase. `directions` contains the
+    readings remove) above one half, or otherwise the measurement with the largest increase. `weak_combinations` are the
     combinations of each instrument, `construction` is the error model with their parameters. Targets named in
     `suspect_targets`, which may have moved, are no ends of a proposed length. The result has one list per instrument.
     """
-    if not any(directions):
-        return [[] for _ in directions]
+    if not any(weak_combinations):
+        return [[] for _ in weak_combinations]
     network = PlannedNetwork.from_adjustment(adjustment, construction)
-    present_gains = _gains_of_combinations(network, directions)
+    present_gains = _gains_of_combinations(network, weak_combinations)
     cheap = [r for r in (second_face_candidate(network), *calibrated_length_candidates(network, suspect_targets)) if r]
     candidates = chain(
         cheap, repeated_setup_candidates(network, 0.0, [0]), near_reflector_candidates(network)
     )  # the cheapest first
     evaluated = list[tuple[str, list[list[float]]]]()
-    open_combinations = {(i, k) for i, combinations in enumerate(directions) for k in range(len(combinations))}
+    open_combinations = {(i, k) for i, combinations in enumerate(weak_combinations) for k in range(len(combinations))}
     for remedy in candidates:
-        gains = _gains_of_combinations(remedy.network, directions)
+        gains = _gains_of_combinations(remedy.network, weak_combinations)
         evaluated.append((remedy.instruction, gains))
         open_combinations = {(i, k) for i, k in open_combinations if gains[i][k] < MIN_DETERMINED_GAIN}
         if not open_combinations:
@@ -177,12 +177,12 @@ def measurements_for_undetermined(
             _measurement_for_combination(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
             for k, d in enumerate(combinations)
         ]
-        for i, combinations in enumerate(directions)
+        for i, combinations in enumerate(weak_combinations)
     ]
 
 
 def _gains_of_combinations(
-    network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
+    network: PlannedNetwork, weak_combinations: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
     """Fraction of the prior variance of each combination of each instrument that the readings of a network remove.
 
@@ -191,10 +191,10 @@ def _gains_of_combinations(
     try:
         covariance, prior = network.parameter_covariance_and_prior_sigma()
     except NetworkError:
-        return [[0.0 for _ in weak] for weak in directions]
+        return [[0.0 for _ in weak] for weak in weak_combinations]
     return [
         [float(1.0 - (d.coefficient_vector / sigma) @ block @ (d.coefficient_vector / sigma)) for d in weak]
-        for block, sigma, weak in zip(covariance, prior, directions, strict=True)
+        for block, sigma, weak in zip(covariance, prior, weak_combinations, strict=True)
     ]
 
 

@@ -148,7 +148,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     """Draw half two-face differences divided by their limits, by target, with the stations side by side."""
     names: list[str] = []
     n_drawn, recording = 0, check.arrays.recording
-    for setup in check.arrays.setups:
+    for setup in check.arrays.setup_checks:
         if setup.two_face_differences is None:
             continue
         ratios = (
@@ -159,7 +159,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         for column, (component, colour, marker) in enumerate(TWO_FACE_COMPONENT_MARKERS):
             label = component if n_drawn == 0 else None
             ax.plot(places, ratios[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
-        rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
+        rows = setup.row_numbers[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         n_drawn += len(ratios)
         ax.axvline(n_drawn - 0.5, ymax=AXES_HEIGHT_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
@@ -188,7 +188,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
 def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     """Draw the rms whitened residual of each pointing over time, with the intervals in which a tracker moved."""
     seconds_per_unit, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
-    for i, setup in enumerate(check.arrays.setups):
+    for i, setup in enumerate(check.arrays.setup_checks):
         if setup.occupation is None:
             continue
         misfit = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))

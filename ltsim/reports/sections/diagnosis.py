@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided_p_value
@@ -251,7 +251,7 @@ def _finding_blocks(
     lines = [
         f"where: {_finding_scope_text(finding.where)}",
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
-        if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
+        if evidence.chi2_drop >= INFINITE_GAIN_SUBSTITUTE
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",

@@ -62,7 +62,7 @@ def test_a_tracker_within_its_guarantee_is_a_go() -> None:
     """Two-face differences of several times the noise are no fault where the maker guarantees no less."""
     found = check(visits(3, stations=2, values=0.7))
     assert found.passed, found.sentence
-    faces = found.arrays.setups[0].two_face_differences
+    faces = found.arrays.setup_checks[0].two_face_differences
     assert faces is not None
     assert np.sqrt(np.mean((faces.uncorrected_pairs.half_differences / faces.half_difference_sigmas) ** 2)) > 3
     assert found.sentence == "go: 2 set-ups within noise and specification"
@@ -463,7 +463,7 @@ def test_the_girder_epochs(shared: Path) -> None:
     whole = two_face_pairs(recording)
     pairs = [
         setup.two_face_differences.uncorrected_pairs
-        for setup in found.arrays.setups
+        for setup in found.arrays.setup_checks
         if setup.two_face_differences is not None
     ]
     assert sum(map(len, pairs)) == len(whole)

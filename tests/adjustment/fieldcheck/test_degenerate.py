@@ -129,7 +129,7 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
     (item,) = (item for item in found.items if item.kind == "network")
     assert found.passed == item.passed
-    if lt.adjust(noisy, robust=True).adjustment.is_rejected.any():
+    if lt.adjust(noisy, robust=True).adjustment.is_rejected_reading.any():
         assert "contradicts the other stations" in item.sentence
         return
     assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_WISE_LEVEL / 4)
@@ -173,7 +173,7 @@ AXES = {
 def network(adjustment: Adjustment) -> str:
     """Fit and targets of an adjusted network; criteria compare points of pointings, those along the axis included."""
     points = np.round(1e6 * adjustment.state.target_points, 1).tolist()
-    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.is_rejected.sum()} {points}"
+    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.is_rejected_reading.sum()} {points}"
 
 
 VERBS = {

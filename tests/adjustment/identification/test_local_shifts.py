@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.adjustment.identification.local_shifts import MAX_TRIMMED_FITS, N_REWEIGHTINGS, LocalShift, fit_local_shifts
+from ltsim.adjustment.identification.local_shifts import (
+    MAX_TRIMMED_FITS,
+    N_REWEIGHTINGS,
+    LocalShiftProblem,
+    fit_local_shifts,
+)
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES
 from ltsim.core.randomness import random_stream
 
 PRICE = 8.0
 
 
-def shift_of(rng: np.random.Generator, columns: int, dependent: bool = False) -> LocalShift:
+def shift_of(rng: np.random.Generator, columns: int, dependent: bool = False) -> LocalShiftProblem:
     """A shift of some pointings, of which a part is outlying by it, and that does not act on the last of them."""
     count = int(rng.integers(4, 30))
     design = rng.standard_normal((count, 3, columns))
@@ -21,10 +26,10 @@ def shift_of(rng: np.random.Generator, columns: int, dependent: bool = False) ->
         design[:, :, -1] = 2.0 * design[:, :, 0]
     residual = design @ (20.0 * rng.standard_normal(columns)) + rng.standard_normal((count, 3))
     residual[: count // 2] = rng.standard_normal((count // 2, 3))
-    return LocalShift.from_design(design, residual, np.abs(residual) > 4.0)
+    return LocalShiftProblem.from_design(design, residual, np.abs(residual) > 4.0)
 
 
-def single(shift: LocalShift) -> tuple[float, np.ndarray]:
+def single(shift: LocalShiftProblem) -> tuple[float, np.ndarray]:
     """The same fit, alone and by the singular values of its design."""
 
     def fitted(weight: np.ndarray) -> np.ndarray:
@@ -32,7 +37,7 @@ def single(shift: LocalShift) -> tuple[float, np.ndarray]:
         design, right = unit[chosen] * weight[chosen, None], residual[chosen] * weight[chosen]
         return np.linalg.lstsq(design, right, rcond=1e-7)[0]
 
-    unit, residual = shift.unit_columns, shift.residuals
+    unit, residual = shift.unit_columns, shift.whitened_residuals
     if unit.shape[1] == 1:
         amount = np.array([np.median(residual[shift.is_outlier] / unit[shift.is_outlier, 0])])
     else:
@@ -64,6 +69,8 @@ def test_shifts_of_many_readings_are_fitted_in_several_batches() -> None:
     rng = random_stream(4, "local shifts")
     design = rng.standard_normal((MAX_TEMPORARY_ENTRIES // 6, 3, 2))
     residual = design @ [30.0, -10.0]
-    large = [LocalShift.from_design(design * scale, residual, np.abs(residual) > 4.0) for scale in (1.0, 2.0, 4.0)]
+    large = [
+        LocalShiftProblem.from_design(design * scale, residual, np.abs(residual) > 4.0) for scale in (1.0, 2.0, 4.0)
+    ]
     for scale, (_, parameters) in zip((1.0, 2.0, 4.0), fit_local_shifts(large, PRICE), strict=True):
         np.testing.assert_allclose(parameters * scale, [30.0, -10.0])

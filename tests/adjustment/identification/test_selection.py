@@ -219,7 +219,7 @@ def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None
     (hypothesis,) = right.hypotheses
     elsewhere = bump.with_constants(time=float(between[len(between) // 2 + gaps]))
     wrong = NetworkFit.from_start(
-        right.network, (replace(hypothesis, model_change=replace(hypothesis.model_change, effect=elsewhere)),)
+        right.fit_input, (replace(hypothesis, model_change=replace(hypothesis.model_change, effect=elsewhere)),)
     )
     assert wrong is not None and wrong.log_evidence < right.log_evidence - 100.0
     corrected = _refine_motion_time(wrong)
@@ -431,7 +431,7 @@ def test_misclosures_in_a_network_with_estimated_centring_errors() -> None:
     fit = NetworkFit.from_start(FitInput(declared, misalignment_construction()))
     assert fit is not None
     value = next(v for v in reference_values(fit.problem, fit.state) if v.kind == "point")
-    found = replace(fit, network=replace(fit.network, recording=recording)).misclosure_of(value)
+    found = replace(fit, fit_input=replace(fit.fit_input, recording=recording)).misclosure_of(value)
     np.testing.assert_allclose(found, fit.misclosure_of(value), atol=1e-15)
 
 

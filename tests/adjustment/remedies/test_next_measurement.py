@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.candidates import (
-    FloorPlan,
+    FloorPlanTransform,
     near_reflector_candidates,
     pointing_candidates,
     procedure_candidates,
@@ -104,7 +104,7 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
 def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording, Truth]) -> None:
     recording, truth = drifting
     adjustment = adjust(recording, misalignment_construction())
-    plan = FloorPlan.from_recording(recording, adjustment.state)
+    plan = FloorPlanTransform.from_recording(recording, adjustment.state)
     assert plan.has_plan
     assert plan.positions_on_plan(adjustment.state.station_positions) == pytest.approx(truth.station_positions, abs=0.1)
     turned = [plan.yaw_on_plan(rotation) for rotation in adjustment.state.station_rotations]
