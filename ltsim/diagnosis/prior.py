@@ -66,8 +66,8 @@ for the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
 coefficients at each set-up; a law at one set-up alone, except for the kinds of responses in
-`P_SINGLE_SET_UP_BY_RESPONSE_KIND`."""
-P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
+`P_SINGLE_SET_UP_BY_CHANGED_PART`."""
+P_SINGLE_SET_UP_BY_CHANGED_PART = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by the kind of its response. It is large for stands, which
 differ between set-ups more than instruments do."""
 MAX_MODEL_EFFECTS = 5

@@ -89,7 +89,9 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
-def connected_groups(sightings: Sightings, length_end_names: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
+def groups_connected_by_lengths(
+    sightings: Sightings, length_end_names: Iterable[tuple[str, str]]
+) -> set[tuple[int, ...]]:
     """Groups of targets that are connected by known lengths, such as the targets of a gauge, as tuples of indices.
 
     `length_end_names` are the pairs of names of the targets at the ends of the known lengths.

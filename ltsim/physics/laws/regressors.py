@@ -24,7 +24,7 @@ from ltsim.physics.laws.columns import (
     has_natural_zero,
     indicator_columns,
     lagged_values,
-    linear_field_columns,
+    polynomial_field_columns,
     scaled_to_unit_rms,
     smooth_curve_columns,
     smooth_curve_sigmas,
@@ -54,7 +54,7 @@ COVARIATE_NAMES_IN_FILES = {
 """Names of covariates in files, by their names in this package, if both names differ."""
 
 
-OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
+MEMORY_OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
 """Covariates, such as the azimuth, whose value at the previous pointing, or change since then, is a covariate too."""
 
 
@@ -70,7 +70,10 @@ def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
         name
         for name in covariates
         if name == "lapse"
-        or (name_without_memory_prefix(name) != name and name_without_memory_prefix(name) in OPERATOR_INPUT_COVARIATES)
+        or (
+            name_without_memory_prefix(name) != name
+            and name_without_memory_prefix(name) in MEMORY_OPERATOR_INPUT_COVARIATES
+        )
     }
     return tuple(
         dict.fromkeys(
@@ -138,10 +141,10 @@ class Regressor:
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
             return columns
-        columns = columns - columns[self._is_at_reference(sightings)].mean(axis=0)
+        columns = columns - columns[self._is_in_reference_state(sightings)].mean(axis=0)
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
-    def _is_at_reference(self, sightings: Sightings) -> Bools:
+    def _is_in_reference_state(self, sightings: Sightings) -> Bools:
         """Flags (n,) of those of n pointings at which moving targets are in their reference state (see `columns`)."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
@@ -163,7 +166,7 @@ class Regressor:
             case "wave" | "cycle":
                 return fourier_columns(self.constant * sightings.covariate_values[name], self.n_columns // 2)
             case "field":
-                return linear_field_columns(
+                return polynomial_field_columns(
                     sightings, self.covariates, self.centre_targets, is_quadratic=self.constant > 1
                 )
             case "simple":
@@ -193,13 +196,13 @@ class Regressor:
         """Values (n,), at n pointings, of a regressor that depends on a `region` of the hall, by its kind.
 
         The values are the length [m] of each line of sight in the region, this length weighted by the lever of a
-        deflection (`LEVER_FUNCTION`), or the weight of the region at the target.
+        deflection (`DEFLECTION_FUNCTION`), or the weight of the region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
         return (
             region.lever_weighted_path_lengths(sightings)
-            if self.function == LEVER_FUNCTION
+            if self.function == DEFLECTION_FUNCTION
             else region.path_lengths(sightings)
         )
 
@@ -295,7 +298,7 @@ class Regressor:
         return len(self.coefficient_sigmas[0])
 
     @property
-    def covariate_labels(self) -> tuple[str, ...]:
+    def covariate_names_in_files(self) -> tuple[str, ...]:
         """Names in files of the covariates on which the regressor depends."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return covariate_names_in_files(names)
@@ -321,16 +324,16 @@ def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Re
     return Regressor("simple", (covariate,), function, constant)
 
 
-LEVER_FUNCTION = "lever"
+DEFLECTION_FUNCTION = "lever"
 """Name of the function of a `passage` regressor for a region that deflects the lines of sight through it. A deflection
 at a point moves the end of the line in proportion to the length beyond the point. The measured direction thus changes
 by the deflection times the fraction of the line beyond the point."""
 
 
-def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
+def path_length_regressor(region: HallRegion, function: str = "") -> Regressor:
     """Regressor with the length of the line of sight in a region of the hall.
 
-    With the function `LEVER_FUNCTION` each part of this length is weighted by the fraction of the line beyond it.
+    With the function `DEFLECTION_FUNCTION` each part of this length is weighted by the fraction of the line beyond it.
     """
     return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 

@@ -31,7 +31,7 @@ def displayed_sizes(
     components are listed, at the set-up with the largest motion. The k coefficients of the law have the mean
     `coefficients` (k,) [SI] and the covariance `covariance` (k, k).
     """
-    law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
+    law, main_direction, means, spread = law.law_at_setup_of_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
     if law.regressor.kind == "constant":
         name = "" if law.response.component_units else law.response.name

@@ -12,7 +12,7 @@ from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
@@ -182,15 +182,13 @@ class GeometricErrorModel:
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[ChainErrorEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
+def misalignment_construction(
+    effects: Iterable[ChainErrorEffect] = ORDINARY_CALIBRATION_EFFECTS,
+) -> GeometricErrorModel:
     """Geometric error model of a tracker with the source in the head; by default with all 16 misalignments."""
-    chosen = tuple(effects)
-    return GeometricErrorModel(
-        "misalignment",
-        kinematics.MISALIGNMENT_CHAIN,
-        tuple(p for effect in chosen for p in effect.parameters),
-        tuple(t for effect in chosen for t in effect.terms),
-    )
+    effects = tuple(effects)
+    parameters, terms = (tuple(p for e in effects for p in e.parameters), tuple(t for e in effects for t in e.terms))
+    return GeometricErrorModel("misalignment", kinematics.MISALIGNMENT_CHAIN, parameters, terms)
 
 
 UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
@@ -351,7 +349,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
     return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
 
 
-def construction_with_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
+def construction_with_dh_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
     """Geometric error model by name; order of harmonics and degree of polynomials apply to the model ``dh`` only."""
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
