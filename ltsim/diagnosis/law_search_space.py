@@ -62,7 +62,7 @@ REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a
 CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
     "room": ("target",)
 }
-"""Kinds of responses with which a kind of regressor is combined; regressors of other kinds are combined with all. The
+"""Changed parts of responses with which a kind of regressor is combined; other regressors are combined with all. The
 omitted combinations would be many, and hardly physical.
 """
 NON_READING_WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
@@ -296,9 +296,9 @@ def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
 
 
 def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
-    """True if a search tries a wave for a kind of response.
+    """True if a search tries a wave for responses with this `Response.changed_part`.
 
-    All waves are tried for readings, and waves in `NON_READING_WAVE_COVARIATES` for the other kinds.
+    All waves are tried for readings, and waves in `NON_READING_WAVE_COVARIATES` for other responses.
     """
     return changed_part == "reading" or wave.covariates[0] in NON_READING_WAVE_COVARIATES
 

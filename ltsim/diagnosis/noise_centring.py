@@ -36,7 +36,7 @@ def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[flo
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupation_kinds(recording):
-        effect = CentringVariance(occupation=kind)
+        effect = CentringVariance(occupation_grouping=kind)
         occupation = np.where(used, target_occupations(recording, effect.as_declared_uncertainty(MILLIMETRE)), -1)
         if _determines_centring(recording, occupation, requires_repeats_in_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)

@@ -171,16 +171,16 @@ def play_operator(input_values: Floats, half_width: float) -> Floats:
 
 
 def polynomial_field_columns(
-    sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
+    sightings: Sightings, names: Sequence[str], origin_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns (n, 4) for n pointings of a quantity that varies linearly across the hall.
+    """Columns (n, 4) or (n, 10) for n pointings of a linear or quadratic polynomial of the position in the hall.
 
-    The columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
-    coordinates follow, and the shape is (n, 10). The coordinates are the covariates `names` minus their mean over the
-    pointings to `centre_targets`, or to all targets if this is empty.
+    The four columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
+    coordinates follow. The coordinates are the covariates `names` minus their mean over the pointings to
+    `origin_targets`, or to all targets if this is empty.
     """
     place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
-    ids = [i for name in centre_targets for i in sightings.target_indices_by_name[name]]
+    ids = [i for name in origin_targets for i in sightings.target_indices_by_name[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
     place = place - place[near].mean(axis=0)
     place = place / max(float(place[near].std()), 1e-300)

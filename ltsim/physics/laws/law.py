@@ -44,7 +44,7 @@ vertical index.
 MAX_STEP_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_CHANGED_PARTS = ("reading", "instrument", "circle", "stand")
-"""Kinds of responses (`Response.changed_part`) for which a law may have separate coefficients in each set-up."""
+"""Parts of the measurement (`Response.changed_part`) for which a law may have separate coefficients in each set-up."""
 MAX_SWITCH_EDGE_POSITIONS = 60
 """Largest number of values of a covariate at which a search lets a law turn on or off (switch)."""
 MAX_STEPS_IN_MOVED_LAW = 4

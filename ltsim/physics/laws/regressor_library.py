@@ -69,7 +69,7 @@ BUILTIN_COVARIATES = tuple(
         (*MEMORYLESS_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
     )
 )
-"""Covariates of readings, in addition to columns of the recording."""
+"""All covariates that are derived from the pointings; columns of the recording are further covariates."""
 _HEAD_COVARIATES = (
     *("azimuth", "elevation", *_CIRCLE_COVARIATES, *_SIGN_COVARIATES),
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),

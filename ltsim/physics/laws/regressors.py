@@ -122,7 +122,7 @@ class Regressor:
     """
     factors: tuple[Regressor, ...] = ()
     """Regressors that the function combines: factors of a product, steps and ramps, or the steps of a switch."""
-    centre_targets: tuple[str, ...] = ()
+    field_or_amount_targets: tuple[str, ...] = ()
     """Names of the targets whose mean position is the origin of a field, or that have separate amounts; empty for
     all."""
     region: HallRegion | None = None
@@ -167,7 +167,7 @@ class Regressor:
                 return fourier_columns(self.constant * sightings.covariate_values[name], self.n_columns // 2)
             case "field":
                 return polynomial_field_columns(
-                    sightings, self.covariates, self.centre_targets, is_quadratic=self.constant > 1
+                    sightings, self.covariates, self.field_or_amount_targets, is_quadratic=self.constant > 1
                 )
             case "simple":
                 return function_column(sightings, name, self.function, self.constant)
@@ -220,7 +220,7 @@ class Regressor:
             return np.where(
                 sightings.previous_pointing_indices >= 0, sightings.target[sightings.previous_pointing_indices], -1
             ), all_targets
-        ids = [sightings.target_names.index(name) for name in self.centre_targets]
+        ids = [sightings.target_names.index(name) for name in self.field_or_amount_targets]
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
@@ -283,7 +283,7 @@ class Regressor:
         """Copy of the regressor with the mean position of `targets` as the origin of its factor of the kind `field`."""
         if all(f.kind != "field" for f in self.factors):
             return self
-        factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
+        factors = tuple(replace(f, field_or_amount_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
@@ -362,7 +362,7 @@ def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, 
     `group_kind` is `station`, `instrument`, `target` or `last-target`, the target of the previous pointing. If
     `targets` is given, only these targets have a value.
     """
-    return Regressor("amounts", (group_kind,), constant=n_groups, centre_targets=targets)
+    return Regressor("amounts", (group_kind,), constant=n_groups, field_or_amount_targets=targets)
 
 
 def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:

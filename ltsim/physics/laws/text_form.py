@@ -264,7 +264,7 @@ def parse_law(
     if targets or any(factor.kind == "wave" for factor in regressor.factors):  # linear for a group, quadratic for all
         orders = {COORDINATE_COVARIATES: 1.0, ("target",): float(len(targets))}
         factors = (
-            replace(f, centre_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
+            replace(f, field_or_amount_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
             for f in regressor.factors
         )
         regressor = replace(regressor, factors=tuple(factors))

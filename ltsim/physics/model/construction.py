@@ -200,7 +200,7 @@ UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
 """Display unit and prior standard deviation [SI] of a parameter, by the specified quantity to which it belongs."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Suffixes of the names of the coefficients of a rotary joint's error function: constant, sines and cosines."""
-DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 """Names of the six error motions of a rotary joint in the Denavit-Hartenberg model."""
 MAX_HARMONIC_ORDER = 4
 """Highest order of the harmonics of a joint in the Denavit-Hartenberg model."""
@@ -222,7 +222,7 @@ SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
 the coefficient. The coefficients are those that represent the misalignments of a tracker with its source in the head.
 """
 
-_RANGE_SCALE_LENGTH = 5.0
+_EQUAL_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
@@ -245,12 +245,12 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     Sine and cosine coefficients replace the paper's amplitude and phase, because the phase is undefined at zero
     amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
     """
-    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_JOINT_ERRORS]
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
     rows = [(key, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
-        (f"T.{motion}", str(k), RangePowerBasis(k), _RANGE_SCALE_LENGTH**-k)
-        for motion in DH_JOINT_ERRORS
+        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_CONTRIBUTION_RANGE**-k)
+        for motion in DH_ERROR_MOTIONS
         for k in range(degree + 1)
     ]
     parameters, terms = [], []
