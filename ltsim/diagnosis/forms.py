@@ -283,7 +283,7 @@ def response_curve(
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.pointing_indicator(sightings) > 0][chosen]
-    unit, factor = law.response.display_unit_and_factor(int(np.argmax(np.abs(way))))
+    unit, factor = law.response.display_unit_and_factor_on_coefficient(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, coefficient_covariance, columns), 0.0))
     curve_values = columns @ coefficient_mean
     return ResponseCurve(

@@ -25,8 +25,8 @@ from ltsim.physics.laws.places import (
     group_places,
     groups_connected_by_lengths,
     instrument_places,
+    names_and_rows,
     neighbour_groups,
-    rows_by_name,
     target_clusters,
 )
 from ltsim.physics.laws.regressor_library import (
@@ -99,10 +99,11 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
         LawPlace((name,), (), rows)
-        for name, rows in rows_by_name(_names_of_separate_places(s.station_names), s.station)
+        for name, rows in names_and_rows(_names_of_separate_places(s.station_names), s.station)
     )
     targets = tuple(
-        LawPlace((), (name,), rows) for name, rows in rows_by_name(_names_of_separate_places(s.target_names), s.target)
+        LawPlace((), (name,), rows)
+        for name, rows in names_and_rows(_names_of_separate_places(s.target_names), s.target)
     )
     is_grouped = len(s.target_names) in TARGET_COUNTS_FOR_GROUP_LAWS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)

@@ -124,7 +124,7 @@ def _span_gram_and_score(
     sightings, count = calculator.space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
-    gram, score = calculator.grams_and_scores([law.with_steps(step_regressors)], conditioning_model)[0]
+    gram, score = calculator.grams_and_scores([law.with_sum_of_steps(step_regressors)], conditioning_model)[0]
     n_components = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (n_components * count))  # steps have an rms of one
     shape = n_components, count, len(columns) // count

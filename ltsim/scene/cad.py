@@ -71,7 +71,7 @@ class CadFile:
         return f"{unit}, {self.vertical_axis} up"
 
     @property
-    def with_other_vertical(self) -> Floats:
+    def triangles_with_other_vertical_axis(self) -> Floats:
         """The m triangles (m, 3, 3) [m] of the file, read with z in place of y as vertical axis, or the reverse."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 

@@ -311,7 +311,7 @@ def _implausible_position_message(
     if obstacle_entry.beyond_room or is_inside_hall(placed_body.triangles, hall_size):
         return ""
     other_axis = "z" if cad_file.vertical_axis == "y" else "y"
-    turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
+    turned = _placed_triangles(obstacle_entry, cad_file.triangles_with_other_vertical_axis)
     size_text = " x ".join(f"{v:g}" for v in hall_size)
     problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the hall"
     fits = (

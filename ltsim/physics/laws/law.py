@@ -314,7 +314,7 @@ class EmpiricalLaw(CandidateEffect):
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGE_POSITIONS).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
-    def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
+    def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a sum of steps, each with a separate coefficient, as the regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 

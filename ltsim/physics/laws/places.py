@@ -35,7 +35,7 @@ class LawPlace:
     """Names of the instruments; empty for all."""
 
 
-def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
+def names_and_rows(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
     """Pairs of a name and the row indices of the pointings with this name, for each name with pointings.
 
     `group_indices` (n,) is the index in `names` of each of n pointings.
@@ -53,7 +53,7 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
     """Places of laws, one per instrument in `names`, with all its set-ups; empty for a single instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
-        for name, rows in rows_by_name(names, sightings.instrument)
+        for name, rows in names_and_rows(names, sightings.instrument)
     )
     return places if len(places) > 1 else ()
 

@@ -57,7 +57,7 @@ class Response:
     component_units: tuple[str, ...] = ()
     """Display units of the components; empty if all have `display_unit`."""
 
-    def display_unit_and_factor(self, component_index: int) -> tuple[str, float]:
+    def display_unit_and_factor_on_coefficient(self, component_index: int) -> tuple[str, float]:
         """Display unit of the component with this index, and the factor from its coefficient to that unit."""
         unit, scale = (
             (self.component_units[component_index], self.component_si_per_coefficient[component_index])
