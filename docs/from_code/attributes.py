@@ -5,7 +5,7 @@ import inspect
 
 from ltsim.scene.sightings import Sightings
 
-HIDDEN = ("station_ids", "target_ids")
+HIDDEN = ("station_indices_by_name", "target_indices_by_name")
 """Attributes that only ltsim uses; the table omits them."""
 
 

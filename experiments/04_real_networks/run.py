@@ -23,7 +23,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import matrix_from_rotation_vector
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings import Recording, read
@@ -256,7 +256,7 @@ def geoeasy(out: Path) -> None:
     ])  # fmt: skip
 
 
-FIRST_ORDER = [e for e in MISALIGNMENT_EFFECTS if set(SCANNER_TRUTH) & {p.name for p in e.parameters}]
+FIRST_ORDER = [e for e in ORDINARY_CALIBRATION_EFFECTS if set(SCANNER_TRUTH) & {p.name for p in e.parameters}]
 PARAMETERS = [p for e in FIRST_ORDER for p in e.parameters]
 UNITS = np.array([p.si_per_display_unit for p in PARAMETERS])
 TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])

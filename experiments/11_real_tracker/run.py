@@ -21,7 +21,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
@@ -30,7 +30,7 @@ from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, se
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
-SIX = misalignment_construction([effect for effect in MISALIGNMENT_EFFECTS if effect.name in FLIPPING])
+SIX = misalignment_construction([effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name in FLIPPING])
 UNITS = ("um", "urad across", "urad elevation")
 BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
 Rows = list[dict[str, object]]

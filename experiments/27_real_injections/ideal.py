@@ -20,7 +20,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import wrap_angle
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.model.construction import declared_construction
@@ -36,7 +36,8 @@ STRENGTH = 100.0
 CARDS = tuple(
     kind.name
     for kind in CATALOGUE
-    if not issubclass(kind, NoiseEffect | Blunder) and kind.name not in {effect.name for effect in MISALIGNMENT_EFFECTS}
+    if not issubclass(kind, NoiseEffect | Blunder)
+    and kind.name not in {effect.name for effect in ORDINARY_CALIBRATION_EFFECTS}
 )
 """Effects of the catalogue that change readings and that the ordinary calibration does not estimate."""
 MOST_BACKGROUND = 5

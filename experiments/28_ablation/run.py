@@ -51,7 +51,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip
     for panel in law_batches(space):
-        part = panel.responses[0].kind, part_of(panel.regressors[0])
+        part = panel.responses[0].changed_part, part_of(panel.regressors[0])
         found.setdefault(part, []).append(panel.best_laws_and_log_totals(probe)[1:])
     return found
 

@@ -17,7 +17,7 @@ from ltsim.calibration.correct import corrected_readings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import components_across_beam, from_polar, polar_jacobian, to_polar, unit_vectors
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.effects.motions import StationMotion, TargetMotion
+from ltsim.physics.effects.motions import StationMotionEffect, TargetDisplacementEffect
 from ltsim.recordings.specification import Specification
 
 CENTRING_CAUSE_KIND: CauseKind = "centring"
@@ -40,7 +40,7 @@ def is_non_tracker_effect(effect: LinearEffect) -> bool:
     """True for an estimated effect that is no error of the tracker: a motion, or a shift of distances or azimuths."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
-    return isinstance(effect, StationMotion | TargetMotion)
+    return isinstance(effect, StationMotionEffect | TargetDisplacementEffect)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion_design
-from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
+from ltsim.physics.effects.air import reading_changes_per_air_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
@@ -138,7 +138,7 @@ def _reading_shifts_by_shared_air_errors(adjustment: Adjustment, air: AirUncerta
     The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
     rows, columns = np.nonzero(adjustment.problem.is_used_reading)
-    errors = reading_changes_per_sigma(air, adjustment.sightings)[rows, columns]
+    errors = reading_changes_per_air_sigma(air, adjustment.sightings)[rows, columns]
     return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 

@@ -34,7 +34,12 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
+from ltsim.physics.model.measurement import (
+    MeasurementModel,
+    NetworkState,
+    smr_radius_offsets,
+    with_spherical_earth_plumb_lines,
+)
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
@@ -187,7 +192,7 @@ def _problem_and_start_state(
     The plumb lines of the stations in the model, and the stations over marks, follow from `start_state`. The other
     parameters are those of `adjust`.
     """
-    model = replace(model, recording=with_plumb_lines(model.recording, start_state.station_positions))
+    model = replace(model, recording=with_spherical_earth_plumb_lines(model.recording, start_state.station_positions))
     if len(start_state.extra_parameters) != model.n_extra_parameters:
         start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
     problem = NetworkProblem.from_model(

@@ -160,12 +160,12 @@ class ResidualSpace:
         """
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
-            rows = np.flatnonzero(errors.occupation >= 0)
+            rows = np.flatnonzero(errors.occupation_indices >= 0)
             slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
             slope = np.where(self.is_used_reading[rows, :, None], slope, 0.0)
             normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
-            np.add.at(normals, errors.occupation[rows], np.einsum("nki,nkj->nij", slope, slope))
-            entries.append((rows, errors.occupation[rows], slope, normals))
+            np.add.at(normals, errors.occupation_indices[rows], np.einsum("nki,nkj->nij", slope, slope))
+            entries.append((rows, errors.occupation_indices[rows], slope, normals))
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:

@@ -14,14 +14,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.recordings.times import interval_text
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class UniformMotion(StationMotion):
+class UniformMotion(StationMotionEffect):
     """Motion of a station at a constant rate during its occupation.
 
     The parameters are the translation and rotation at the end of the occupation. The effect is not in the catalogue,

@@ -35,14 +35,14 @@ from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders
+from ltsim.physics.model.construction import GeometricErrorModel, construction_with_dh_orders
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import StandardNormalSource
 
 
 def estimated_construction(method: CalibrationMethod) -> GeometricErrorModel:
     """Geometric error model whose parameters a calibration method estimates."""
-    return construction_with_orders(method.construction, method.harmonics, method.degree)
+    return construction_with_dh_orders(method.construction, method.harmonics, method.degree)
 
 
 def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:

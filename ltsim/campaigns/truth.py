@@ -337,7 +337,7 @@ def make_cell_truth(
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
         there = replace(reference_truth.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
+            reference.replace(**pointings, readings=s.ideal_raw_readings, notes=geometry.hidden_pair_notes),
             _state_in_start_frame(geometry, there.instrument_means),
         )
         return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)

@@ -28,7 +28,7 @@ from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, gram_of_rows
 from ltsim.diagnosis.prior import log_prior_by_base_rate
 from ltsim.diagnosis.shape_constants import are_distinct
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_scale import RangeScale
@@ -42,7 +42,7 @@ MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
 """Number of places and shapes of a catalogue effect with the largest evidence among which local optima are sought."""
-ORDINARY_CALIBRATION_EFFECT_TYPES = tuple(type(effect) for effect in MISALIGNMENT_EFFECTS)
+ORDINARY_CALIBRATION_EFFECT_TYPES = tuple(type(effect) for effect in ORDINARY_CALIBRATION_EFFECTS)
 """Effect classes of the ordinary calibration, whose instrument constants every adjustment estimates. As a hypothesis,
 such an effect means that its constants are larger than their prior permits."""
 

@@ -355,7 +355,7 @@ def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
 
     `regressor_phrase` is the text form of its regressor.
     """
-    phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
+    phrase = f"{law.response.name} correction" if law.response.changed_part == "reading" else law.response.name
     suffix = law_suffix(law)
     return (
         f"{phrase} differs{suffix}"

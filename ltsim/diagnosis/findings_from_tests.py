@@ -13,7 +13,7 @@ from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import scope_with_names
 from ltsim.diagnosis.sentences import percent_text
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS, parameter_text
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -104,7 +104,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
 
 def _effect_name_of_constant(constant: Parameter) -> str:
     """Name of the effect of the ordinary calibration to which an instrument constant belongs."""
-    return next(e.name for e in MISALIGNMENT_EFFECTS if constant.name in {q.name for q in e.parameters})
+    return next(e.name for e in ORDINARY_CALIBRATION_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
 EFFECT_NAME_BY_CAUSE = {

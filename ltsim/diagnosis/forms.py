@@ -18,7 +18,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND, PRIOR_WEIGHT_BY_FORM
+from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_CHANGED_PART, PRIOR_WEIGHT_BY_FORM
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.switches import (
     MAX_PIECES_OF_LAW,
@@ -71,7 +71,7 @@ def evaluate_forms(
     )
     base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
     permanent_law, share = (
-        law.without_switch(),
+        law.without_time_limit(),
         float(np.log(P_RARE_FORM * n_tried_waves_of_same_covariate(law, sightings))),
     )
     switch_hypotheses = (
@@ -121,7 +121,7 @@ def _functional_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
     """Forms of a law as a curve, a formula, a piecewise function or a product, with the log evidence of each."""
-    forms = law.candidate_forms(calculator.space.sightings)
+    forms = law.candidate_forms_by_kind(calculator.space.sightings)
     weight_sum = sum(PRIOR_WEIGHT_BY_FORM[kind] for kind in forms)
     shares = {
         kind: log_prior + float(np.log(PRIOR_WEIGHT_BY_FORM[kind] / weight_sum / len(sets)))
@@ -145,10 +145,10 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
     """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
-    if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
+    if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
     gram, score = calculator.grams_and_scores([law], conditioning_model)[0]
-    ratio, evidence, log_share = best_component_ratio(gram, score, law.plausible_sizes, law.n_components)
+    ratio, evidence, log_share = best_component_ratio(gram, score, law.plausible_sizes, law.n_setup_components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.plausible_sizes))
     share, other = np.log(P_EVEN_ODDS) + log_share, np.log(1.0 - P_EVEN_ODDS)
     return [
@@ -175,7 +175,7 @@ def _forms_at_single_set_ups(
         return [form]
     drivers = (
         [law.regressor, CONSTANT_REGRESSOR, RIGID_MOTION_REGRESSOR]
-        if law.targets and law.response.kind == "target"
+        if law.targets and law.response.changed_part == "target"
         else [law.regressor]
     )
     drivers = [d for d in dict.fromkeys(drivers) if all(f.covariates != ("station",) for f in (d, *d.factors))]
@@ -192,7 +192,7 @@ def _forms_at_single_set_ups(
     ]
     n_pointings = [law.pointing_indicator(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP_BY_RESPONSE_KIND.get(law.response.kind, P_RARE_FORM)
+    share = P_SINGLE_SET_UP_BY_CHANGED_PART.get(law.response.changed_part, P_RARE_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     hypotheses = [
@@ -272,7 +272,7 @@ def response_curve(
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.law_at_largest_effect(coefficient_mean, coefficient_covariance, sightings)
+    law, way, means, spread = law.law_at_setup_of_largest_effect(coefficient_mean, coefficient_covariance, sightings)
     coefficient_mean, coefficient_covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.covariate_values[regressor.covariates[0]][law.pointing_indicator(sightings) > 0]
     if regressor.kind in ("wave", "cycle"):
@@ -283,7 +283,7 @@ def response_curve(
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.pointing_indicator(sightings) > 0][chosen]
-    unit, factor = law.response.display_unit_and_factor(int(np.argmax(np.abs(way))))
+    unit, factor = law.response.display_unit_and_factor_on_coefficient(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, coefficient_covariance, columns), 0.0))
     curve_values = columns @ coefficient_mean
     return ResponseCurve(

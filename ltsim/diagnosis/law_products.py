@@ -19,9 +19,9 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import ODDS_PER_OPERATOR
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
-    LEVER_FUNCTION,
+    DEFLECTION_FUNCTION,
     Regressor,
-    passage_regressor,
+    path_length_regressor,
     scalar_regressor,
     smooth_regressor,
 )
@@ -37,7 +37,7 @@ MAX_COEFFICIENTS_WITH_SECOND_FACTOR = 2
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
     """True for a law of one observable in the whole network that depends on one covariate, with few coefficients."""
-    if law.response.kind != "reading" or law.response.component_units or law.stations or law.targets:
+    if law.response.changed_part != "reading" or law.response.component_units or law.stations or law.targets:
         return False
     regressor = law.regressor
     is_simple = regressor.kind in ("simple", "wave") and len(regressor.covariates) == 1
@@ -63,9 +63,9 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
         if np.ptp(sightings.covariate_values[name]) > 0 and name not in law.regressor.covariates
     ]
     if _is_of_time(law.regressor):
-        function = LEVER_FUNCTION if "distance" not in law.response.observables else ""
+        function = DEFLECTION_FUNCTION if "distance" not in law.response.observables else ""
         regions = candidate_regions(sightings, SECOND_FACTOR_REGION_SHAPES)
-        weights += [passage_regressor(region, function) for region in regions]
+        weights += [path_length_regressor(region, function) for region in regions]
     if not weights:
         return []
     laws = [_law_product(law, weight) for weight in weights]

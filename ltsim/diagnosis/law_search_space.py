@@ -22,11 +22,11 @@ from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESP
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import (
     LawPlace,
-    connected_groups,
     group_places,
+    groups_connected_by_lengths,
     instrument_places,
+    names_and_rows,
     neighbour_groups,
-    rows_by_name,
     target_clusters,
 )
 from ltsim.physics.laws.regressor_library import (
@@ -36,7 +36,7 @@ from ltsim.physics.laws.regressor_library import (
     candidate_regressors,
     is_admissible,
     per_setup_regressors,
-    target_group_regressors,
+    regressors_for_target_groups,
     wave_regressors,
 )
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -59,10 +59,10 @@ PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "la
 """Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
 """Kinds of regressors that depend on a region of the hall."""
-RESPONSE_KINDS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
+CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
     "room": ("target",)
 }
-"""Kinds of responses with which a kind of regressor is combined; regressors of other kinds are combined with all. The
+"""Changed parts of responses with which a kind of regressor is combined; other regressors are combined with all. The
 omitted combinations would be many, and hardly physical.
 """
 WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
@@ -110,14 +110,15 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
         LawPlace((name,), (), rows)
-        for name, rows in rows_by_name(_names_of_separate_places(s.station_names), s.station)
+        for name, rows in names_and_rows(_names_of_separate_places(s.station_names), s.station)
     )
     targets = tuple(
-        LawPlace((), (name,), rows) for name, rows in rows_by_name(_names_of_separate_places(s.target_names), s.target)
+        LawPlace((), (name,), rows)
+        for name, rows in names_and_rows(_names_of_separate_places(s.target_names), s.target)
     )
     is_grouped = len(s.target_names) in TARGET_COUNTS_FOR_GROUP_LAWS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
-    sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
+    sets = target_clusters(s) | neighbour_groups(s) | groups_connected_by_lengths(s, lengths) if is_grouped else set()
     place_groups = tuple(group_places(s, sets))
     median_pointings = float(np.median([len(place.rows) for place in stations] or [0]))
     general_regressors = candidate_regressors(s)
@@ -152,7 +153,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
                 "amounts": per_setup_regressors(s, 2),
             },
         ),
-        ("group", place_groups, target_group_regressors(s) if place_groups else {}),
+        ("group", place_groups, regressors_for_target_groups(s) if place_groups else {}),
     ]
 
 
@@ -174,7 +175,7 @@ class _LawBatchBuilder:
         for response, design in response_designs(self._sightings).values():
             weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = response_with_size_raised_to_noise(response, weights)
-            self._responses.setdefault((response.kind, len(response.component_names)), []).append(
+            self._responses.setdefault((response.changed_part, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
 
@@ -203,7 +204,7 @@ class _LawBatchBuilder:
             for name, regressors in regressors_by_kind.items():
                 if (
                     kind not in kinds
-                    or kind not in RESPONSE_KINDS_BY_REGRESSOR_KIND.get(name, (kind,))
+                    or kind not in CHANGED_PARTS_BY_REGRESSOR_KIND.get(name, (kind,))
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
@@ -273,7 +274,7 @@ class _LawBatchBuilder:
                 cells[same] = PointingPartition.from_places(places, len(self._sightings))
             if responses not in stacked:
                 stacked[responses] = np.stack([weights[c] for c in responses], axis=2, dtype=np.float32)
-            key = regressors, responses[0].kind == "target", same
+            key = regressors, responses[0].changed_part == "target", same
             if key not in columns:
                 columns[key] = RegressorColumns(
                     regressors, self._sightings, cells[same].pointing_order, acts_on_targets=key[1]
@@ -308,12 +309,12 @@ def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
 
 
-def _is_wave_tried_for(response_kind: str, wave: Regressor) -> bool:
-    """True if a search tries a wave for a kind of response.
+def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
+    """True if a search tries a wave for responses with this `Response.changed_part`.
 
-    All waves are tried for readings, and waves in `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for the other kinds.
+    All waves are tried for readings, and waves in `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for other responses.
     """
-    return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES_FOR_NON_READING_RESPONSES
+    return changed_part == "reading" or wave.covariates[0] in WAVE_COVARIATES_FOR_NON_READING_RESPONSES
 
 
 def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:

@@ -64,7 +64,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
     `instruments` are the names of the instruments, each of which may have separate noise if there are several.
     """
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
-    effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
+    effects = [(effect, effect.candidate_parameter_values()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
     for family, pattern, sizes in candidate_variance_functions(sightings, instrument_places(sightings, instruments)):
         hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
@@ -217,8 +217,11 @@ class NoiseHypothesisSet:
         """
         effect = self.hypotheses[best_index].effect
         is_same = np.array([self.hypotheses[i].effect == effect for i in hypothesis_indices.tolist()])
-        size_grid = np.array([self.hypotheses[i].sizes for i in hypothesis_indices[is_same].tolist()])
-        size_limits = np.where(size_grid > 0.0, size_grid, np.inf).min(axis=0), size_grid.max(axis=0)
+        candidate_parameter_values = np.array([self.hypotheses[i].sizes for i in hypothesis_indices[is_same].tolist()])
+        size_limits = (
+            np.where(candidate_parameter_values > 0.0, candidate_parameter_values, np.inf).min(axis=0),
+            candidate_parameter_values.max(axis=0),
+        )
         reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
         log_evidences = log_sum_exp(
             np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_SIZES)])
@@ -337,7 +340,7 @@ def _noise_patterns(
         linear = isinstance(effect, VarianceFunction)
         for values in [(1.0,)] if linear else sizes:
             added = (effect.variance(space.sightings, space.sigma, np.array(values)) / variance)[used] - 1.0
-            if faces := getattr(effect, "repetition", ""):
+            if faces := getattr(effect, "shared_error_repetition", ""):
                 grown = (
                     added_variance_of_means(m, added if kind == faces else np.zeros(0))
                     for kind, m in zip(REPETITION_KINDS, averaging_matrices, strict=True)

@@ -36,8 +36,8 @@ def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[flo
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupation_kinds(recording):
-        effect = CentringVariance(occupation=kind)
-        occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
+        effect = CentringVariance(occupation_grouping=kind)
+        occupation = np.where(used, target_occupations(recording, effect.as_declared_uncertainty(MILLIMETRE)), -1)
         if _determines_centring(recording, occupation, requires_repeats_in_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)
             hypotheses.append(
@@ -54,7 +54,7 @@ def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -
     """
     effect = hypothesis.effect
     assert isinstance(effect, CentringVariance)
-    occupation = target_occupations(space.adjustment.recording, effect.uncertainty(MILLIMETRE))
+    occupation = target_occupations(space.adjustment.recording, effect.as_declared_uncertainty(MILLIMETRE))
     gain, sigma, n_determined = best_centring_sigma(space, occupation)
     sigma_of_estimate = float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
     return replace(hypothesis, sizes=(sigma,), size_sigmas=(sigma_of_estimate,), chi2_drop=2.0 * gain)
@@ -63,7 +63,7 @@ def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -
 def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHypothesis]) -> Recording:
     """Recording whose set-up declares the centring errors among the given changes of the noise."""
     further: list[CentringUncertainty] = [
-        change.effect.uncertainty(change.sizes[0])
+        change.effect.as_declared_uncertainty(change.sizes[0])
         for change in noise_changes
         if isinstance(change.effect, CentringVariance)
     ]

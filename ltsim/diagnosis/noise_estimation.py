@@ -44,7 +44,7 @@ def reml_gain_function(
     Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3) of n
     pointings, while the m residuals (m,) are whitened by the standard deviations of the residual space.
     """
-    faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.plausible_sizes
+    faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2

@@ -196,7 +196,7 @@ class GroupNoiseMixture(GroupNoiseChange):
             group_indicators = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(
                 cls(
-                    VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable),
+                    VarianceFunction(group_kind=each, group_names=names, has_variance_per_observable=per_observable),
                     group_indicators,
                     COARSE_GROUP_VARIANCE_FACTORS,
                 )
@@ -217,7 +217,9 @@ class GroupNoiseMixture(GroupNoiseChange):
             (np.ones(len(reading_indices)), (reading_indices, places)),
             (len(names) * len(observables), space.n_equations),
         )
-        effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
+        effect = VarianceFunction(
+            observables, group_kind="reading", group_names=names, has_variance_per_observable=True
+        )
         return cls(effect, group_indicators, HEAVY_TAIL_VARIANCE_FACTORS)
 
     @property

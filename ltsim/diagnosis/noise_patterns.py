@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.noise_groups import NOISY_OBSERVABLE_SETS
 from ltsim.physics.laws.places import LawPlace, target_clusters
-from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGETS, additional_column_names
+from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGET_VALUES, varying_column_names
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
@@ -47,9 +47,9 @@ def candidate_variance_functions(
         *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in instrument_places),
     ]
     for at, acts, name, falling in product(
-        places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_column_names(sightings)], (False, True)
+        places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *varying_column_names(sightings)], (False, True)
     ):
-        pattern = replace(at, observables=acts, covariates=(name,), decreases=falling)
+        pattern = replace(at, observables=acts, covariates=(name,), decreases_with_covariate=falling)
         yield " and ".join(acts), pattern, ADDED_VARIANCES_AT_PATTERN_MAXIMUM
     if len(sightings) <= MAX_POINTINGS_FOR_NOISE_BANDS:
         for at, acts, (name, band) in product(places, NOISY_OBSERVABLE_SETS, _covariate_bands(sightings)):
@@ -61,12 +61,12 @@ def candidate_variance_functions(
     names = sightings.target_names
     target_groups = (
         [(t,) for t in range(len(names))] + sorted(target_clusters(sightings))
-        if len(names) <= MAX_SEPARATE_TARGETS
+        if len(names) <= MAX_SEPARATE_TARGET_VALUES
         else []
     )
     for acts in NOISY_OBSERVABLE_SETS:
         for faces in REPETITION_KINDS if acts == ("distance",) and np.ptp(sightings.face) else REPETITION_KINDS[:1]:
-            yield "repeating", VarianceFunction(acts, repetition=faces), ADDED_VARIANCES_OF_ALL_READINGS
+            yield "repeating", VarianceFunction(acts, shared_error_repetition=faces), ADDED_VARIANCES_OF_ALL_READINGS
         for group in target_groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), ADDED_VARIANCES_OF_TARGETS
     for region, acts in product(
@@ -88,7 +88,7 @@ def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, f
             if MIN_SECTOR_FRACTION <= inside.mean() <= 1.0 - MIN_SECTOR_FRACTION:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
-    names += additional_column_names(sightings)
+    names += varying_column_names(sightings)
     names += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []
     for name in names:
         x = noise_covariate(sightings, name)

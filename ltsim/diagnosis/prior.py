@@ -65,11 +65,11 @@ PRIOR_WEIGHT_BY_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2,
 for the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
-coefficients at each set-up; a law at one set-up alone, except for the kinds of responses in
-`P_SINGLE_SET_UP_BY_RESPONSE_KIND`."""
-P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
-"""Prior probability that a law acts at only one set-up, by the kind of its response. It is large for stands, which
-differ between set-ups more than instruments do."""
+coefficients at each set-up; a law at one set-up alone, except for the changed parts in
+`P_SINGLE_SET_UP_BY_CHANGED_PART`."""
+P_SINGLE_SET_UP_BY_CHANGED_PART = {"stand": 0.5}
+"""Prior probability that a law acts at only one set-up, by the changed part of its response. It is large for stands,
+which differ between set-ups more than instruments do."""
 MAX_MODEL_EFFECTS = 5
 """Largest number of effects in a model, and of reported instrument constants."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0

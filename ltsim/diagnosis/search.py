@@ -235,7 +235,7 @@ class Searcher:
         for hit in laws:
             place, driver = hit.place, hit.regressor.with_field_centred_on(hit.place.targets)
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
-            key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
+            key = (hit.response.name, driver.kind, driver.covariate_names_in_files, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._n_exactly_evaluated or not (self.uses_fewer_evaluations or kind in kinds)
             if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):

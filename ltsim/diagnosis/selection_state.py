@@ -280,7 +280,7 @@ class SelectionState:
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
         """Hypotheses of changes of the noise in a residual space."""
-        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise_changes)
+        quieter = not any(getattr(change.effect, "shared_error_repetition", "") for change in self.noise_changes)
         return NoiseHypothesisSet.from_space(
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )

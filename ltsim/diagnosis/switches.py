@@ -80,14 +80,14 @@ def switched_forms(
     edges = law.candidate_switch_steps(sightings)
     if len(edges) < N_TOGGLED_INTERVALS_AFTER_MAXIMUM:
         return []
-    if law.depends_on_fixed_region and refines_region:
+    if law.depends_on_permanent_region and refines_region:
         law = calculator.refine_locally([law], conditioning_model)[0][0]
     always_on = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
     spans = _span_gram_and_score(calculator, law, [always_on, *edges], conditioning_model)
     plausible_sizes = law.with_switch([always_on]).plausible_sizes
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    starts_on = bool(on[0]) and law.depends_on_fixed_region  # otherwise on and off are equivalent
+    starts_on = bool(on[0]) and law.depends_on_permanent_region  # otherwise on and off are equivalent
     if not _is_identifiable_switch(law, chosen, sightings):
         return []
     refined, mean = calculator.refine_locally(
@@ -124,7 +124,7 @@ def _span_gram_and_score(
     sightings, count = calculator.space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
-    gram, score = calculator.grams_and_scores([law.with_steps(step_regressors)], conditioning_model)[0]
+    gram, score = calculator.grams_and_scores([law.with_sum_of_steps(step_regressors)], conditioning_model)[0]
     n_components = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (n_components * count))  # steps have an rms of one
     shape = n_components, count, len(columns) // count
@@ -132,7 +132,7 @@ def _span_gram_and_score(
     gram = (gram * np.outer(scale, scale)).reshape(*shape, *shape).transpose(1, 0, 2, 4, 3, 5)
     score = (score * scale).reshape(shape).transpose(1, 0, 2).reshape(count, -1)
     gram = gram.reshape(count, score.shape[1], count, score.shape[1])
-    weight = law.columns(sightings)[:, 0] ** 2 if law.depends_on_fixed_region else np.ones(len(x))
+    weight = law.columns(sightings)[:, 0] ** 2 if law.depends_on_permanent_region else np.ones(len(x))
     beyond = (weight[:, None] * after).mean(axis=0)
     gram = _span_differences(np.moveaxis(_span_differences(gram), 2, 0))
     return SpanGramAndScore(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
@@ -192,7 +192,7 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
     least = (
         MIN_TARGET_SWITCH_EDGES
         if len(law.targets) == 1
-        else MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE[law.depends_on_fixed_region]
+        else MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE[law.depends_on_permanent_region]
     )
     if edge_regressors and edge_regressors[0].covariates != ("time",):
         return len(edge_regressors) >= least and _switches_targets(law, edge_regressors, sightings)

@@ -306,7 +306,7 @@ def _unit_error_displacements(
     n_extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
     averaging_matrix = _averaging_matrix(layout_information)
-    _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
+    _, by_reading, by_value = construction.linearise(sightings.ideal_raw_readings, np.zeros(construction.n_parameters))
     noise = (
         np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
         * problem.sigma.ravel()

@@ -182,7 +182,7 @@ class LayoutScorer:
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives of the readings of n pointings by target (n, 3, 3), and by P parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(
-            sightings.raw_readings, np.zeros(self.construction.n_parameters)
+            sightings.ideal_raw_readings, np.zeros(self.construction.n_parameters)
         )
         by_target = by_point @ np.swapaxes(sightings.station_rotations[sightings.station], 1, 2)
         reflectors = [

@@ -27,7 +27,7 @@ from ltsim.planning.tolerances import (
     plan_verdict,
 )
 from ltsim.recordings.setup import Target
-from ltsim.scene.visibility import Visibility, best_nest_normals, compute_visibility
+from ltsim.scene.visibility import Visibility, compute_visibility, nest_normals_of_smallest_incidence
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
@@ -244,7 +244,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
     A sight counts only if it is free from every position within `SearchSpace.position_tolerance` of its station.
     """
     normal, aimed = (
-        best_nest_normals(survey.station_positions, survey.target_points)[0],
+        nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
         _is_aimed(search_space, survey),
     )
     table = compute_visibility(
@@ -269,7 +269,10 @@ def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
     """Survey whose set-up declares the normals of fixed nests, aimed at the stations of the survey."""
-    targets, normals = dict(survey.setup.targets), best_nest_normals(survey.station_positions, survey.target_points)[0]
+    targets, normals = (
+        dict(survey.setup.targets),
+        nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
+    )
     for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
         name = survey.target_names[at]
         aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}

@@ -17,7 +17,7 @@ from ltsim.planning.layout_scorer import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.scene.visibility import best_nest_normals
+from ltsim.scene.visibility import nest_normals_of_smallest_incidence
 
 MAX_REFLECTOR_SWEEPS = 8
 """Largest number of sweeps of exchanges over all reflectors."""
@@ -253,7 +253,10 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
         search_space.min_sights, len(survey.station_positions)
     )
     if search_space.is_aimed_nest.any():
-        is_usable &= best_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
+        is_usable &= (
+            nest_normals_of_smallest_incidence(survey.station_positions, places)[1]
+            <= search_space.sight_limits.max_incidence
+        )
     return is_usable
 
 

@@ -137,7 +137,7 @@ class SearchSpace(ValueEquality):
         goal = self.survey.target_points if points is None else points
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.ranges
-        lowest = max(self.sight_limits.elevation_min, 0.5 * (self.sight_limits.cone_opening - np.pi))
+        lowest = max(self.sight_limits.elevation_min, 0.5 * (self.sight_limits.shadow_cone_opening - np.pi))
         is_visible_place: Bools = (
             table.is_visible
             & (table.elevations - turn >= lowest)

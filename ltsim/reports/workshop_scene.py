@@ -22,7 +22,7 @@ from ltsim.physics.model.construction import declared_construction, ideal_constr
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.cad import implausible_size_question, read_mesh
-from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_opening, shadow_radii
+from ltsim.scene.visibility import InvisibilityReason, Visibility, default_shadow_cone_opening, shadow_cone_radii
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
@@ -98,7 +98,7 @@ class WorkshopScene(ValueEquality):
     @property
     def shadow_cone_openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`."""
-        limit = shadow_cone_opening(self.elevation_min)
+        limit = default_shadow_cone_opening(self.elevation_min)
         return (
             (limit,)
             if abs(limit - ALTERNATIVE_SHADOW_CONE_OPENING) < 1e-9
@@ -107,7 +107,7 @@ class WorkshopScene(ValueEquality):
 
     def shadow_radii_on_floor(self, opening: float) -> Floats:
         """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
-        return shadow_radii(self.station_positions, self.floor_height, opening)
+        return shadow_cone_radii(self.station_positions, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:

@@ -33,7 +33,7 @@ few centimetres.
 """
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
-MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
+MIN_BODY_TO_HALL_LENGTH_RATIO = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
 """Length of a body divided by the length of the hall, below which the unit of a CAD file is questioned: 1 / 25.4. A
 body as long as the hall has this ratio if a file in inches is read in millimetres."""
 MAX_BODY_OVERHANG = 0.05
@@ -52,7 +52,7 @@ Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 class CadFile:
     """Contents of a CAD file, with the unit and vertical axis used to read it."""
 
-    file: Path
+    path: Path
     """Path of the CAD file."""
     triangles: Floats
     """Corners of the m triangles of the body, (m, 3, 3) [m], z up."""
@@ -66,12 +66,12 @@ class CadFile:
     @property
     def interpretation_text(self) -> str:
         """Description for users of the unit and the vertical axis with which the file was read."""
-        kind = self.file.suffix[1:].upper()
+        kind = self.path.suffix[1:].upper()
         unit = f"coordinates read as {UNIT_NAMES[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.vertical_axis} up"
 
     @property
-    def with_other_vertical(self) -> Floats:
+    def triangles_with_other_vertical_axis(self) -> Floats:
         """The m triangles (m, 3, 3) [m] of the file, read with z in place of y as vertical axis, or the reverse."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
@@ -195,7 +195,7 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
     """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
-        MIN_RELATIVE_BODY_LENGTH * hall_size.max(),
+        MIN_BODY_TO_HALL_LENGTH_RATIO * hall_size.max(),
         1.5 * hall_size.max(),
     )
     if cad_file.has_declared_unit or least <= length.max() <= most:
@@ -208,7 +208,7 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
     fitting = [unit for unit, size in size_by_unit.items() if least <= size <= most] or list(size_by_unit)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad_file.file}: is {size} m large if its coordinates are {UNIT_NAMES[cad_file.unit]}, a unit that it does "
+        f"{cad_file.path}: is {size} m large if its coordinates are {UNIT_NAMES[cad_file.unit]}, a unit that it does "
         f'not declare; set unit = {other}, or unit = "{cad_file.unit}" if this is correct'
     )
 

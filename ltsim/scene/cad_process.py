@@ -38,7 +38,7 @@ MAX_TESSELLATION_DEVIATION_MM = 1.0
 distance would not change which lines of sight are free."""
 _CHILD_PROCESS_CODE = "from ltsim.scene.cad_process import run_reader_process; run_reader_process()"
 """Python code that the separate process runs."""
-_REFUSED_EXIT_STATUS = 3
+_LIBRARY_ERROR_EXIT_STATUS = 3
 """Exit status of the separate process if a library raised an error; the name of the error is on standard error."""
 
 
@@ -96,7 +96,7 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
     completed_process = subprocess.run(
         process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits}
     )
-    if completed_process.returncode == _REFUSED_EXIT_STATUS:
+    if completed_process.returncode == _LIBRARY_ERROR_EXIT_STATUS:
         reason = completed_process.stderr.decode(errors="replace").strip()
         if reason not in (MemoryError.__name__, ""):  # without memory the reason may not be written either
             raise _incomplete_file_error(path, reason)
@@ -123,7 +123,7 @@ def run_reader_process() -> None:
             raise MemoryError
     except Exception as problem:  # the libraries raise many kinds of errors
         sys.stderr.write(type(problem).__name__)
-        sys.exit(_REFUSED_EXIT_STATUS)
+        sys.exit(_LIBRARY_ERROR_EXIT_STATUS)
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 

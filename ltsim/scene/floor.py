@@ -116,7 +116,7 @@ def areas_and_keep_outs(
         heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
     )
     floor_areas = floor_spec.areas or (
-        FloorArea(corners_mm=floor_spec.corners_mm or _hall_outline(floor_spec, hall_size_mm)),
+        FloorArea(corners_mm=floor_spec.corners_mm or _floor_outline_within_margin(floor_spec, hall_size_mm)),
     )
     areas = []
     for i, part in enumerate(floor_areas, 1):
@@ -142,7 +142,7 @@ def areas_and_keep_outs(
     return tuple(areas), tuple(free)
 
 
-def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
+def _floor_outline_within_margin(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
     """Corners [mm] of the floor of the hall without the margin along the walls.
 
     Raises InputError for a margin that leaves no floor.

@@ -62,7 +62,7 @@ class Obstacles:
     """Corners of the m triangles, (m, 3, 3) [m]."""
     floor_height: float = 0.0
     """Height [m] of the floor on which tripods stand."""
-    named_bodies: tuple[tuple[str, int], ...] = ()
+    body_names_and_triangle_counts: tuple[tuple[str, int], ...] = ()
     """Name and number of triangles of each body, in the order of `triangles`; empty if the bodies have no names."""
 
     @cached_property
@@ -120,8 +120,8 @@ class Obstacles:
 
     def is_inside_body(self, points: Floats) -> Bools:
         """Flags (n,) of n points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
-        (west, south), (east, north) = self._bounding_rectangles
-        flat = _projected_along_upwards(points)
+        (west, south), (east, north) = self._triangle_bounding_rectangles
+        flat = _plan_coordinates_along_test_ray(points)
         n_crossings = np.zeros(len(points), dtype=np.int64)
         step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(self.triangles), 1))
         for start in range(0, len(points), step):
@@ -132,13 +132,13 @@ class Obstacles:
         return n_crossings % 2 == 1
 
     @cached_property
-    def _bounding_rectangles(self) -> tuple[Floats, Floats]:
+    def _triangle_bounding_rectangles(self) -> tuple[Floats, Floats]:
         """Lowest and highest x and y of each of m triangles, two arrays (2, m) [m], seen along `TEST_RAY_DIRECTION`."""
-        flat = _projected_along_upwards(self.triangles)
+        flat = _plan_coordinates_along_test_ray(self.triangles)
         return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
     @cached_property
-    def _mesh_tolerances(self) -> Floats:
+    def _distances_to_curved_surface(self) -> Floats:
         """Largest distance (m,) [m] between each of m triangles and the curved surface that it approximates.
 
         For each edge, a third of the triangle's height over the edge is multiplied by the angle to the neighbouring
@@ -177,7 +177,7 @@ class Obstacles:
                 nearest = nearest_points(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
-                if RAY_END_MARGIN < gap[best] < self._mesh_tolerances[best] + RAY_BUNDLE_RADIUS:
+                if RAY_END_MARGIN < gap[best] < self._distances_to_curved_surface[best] + RAY_BUNDLE_RADIUS:
                     projected[i] = nearest[best] + RAY_BUNDLE_RADIUS * (nearest[best] - points[i]) / gap[best]
             self._moved_points_cache[key] = projected
         return self._moved_points_cache[key]
@@ -193,7 +193,7 @@ class Obstacles:
     def body_names_around(self, points: Floats, *, of_setups: bool = False) -> list[str]:
         """Names of the bodies inside which any of n points (n, 3) [m] lies, or any instrument or tripod `of_setups`."""
         names, start = [], 0
-        for name, n_triangles in self.named_bodies:
+        for name, n_triangles in self.body_names_and_triangle_counts:
             body = Obstacles(self.triangles[start : start + n_triangles], self.floor_height)
             start += n_triangles
             if (body.is_setup_inside_body(points) if of_setups else body.is_inside_body(points)).any():
@@ -260,7 +260,7 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
     return np.where(is_over_interior[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
 
 
-def _projected_along_upwards(points: Floats) -> Floats:
+def _plan_coordinates_along_test_ray(points: Floats) -> Floats:
     """Coordinates x and y (..., 2) [m] of points (..., 3) projected to z = 0 along `TEST_RAY_DIRECTION`."""
     return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
 
@@ -312,12 +312,12 @@ def join_obstacles(
     """
     parts = list(triangle_sets)
     triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
-    named_bodies = tuple(zip(body_names, map(len, parts), strict=True)) if body_names else ()
-    key = blake2b(triangles.ravel().data).digest(), floor_height, named_bodies
+    body_names_and_triangle_counts = tuple(zip(body_names, map(len, parts), strict=True)) if body_names else ()
+    key = blake2b(triangles.ravel().data).digest(), floor_height, body_names_and_triangle_counts
     latest = _LATEST_OBSTACLES.get(key)
     if latest is None:
         triangles.flags.writeable = False
-        latest = Obstacles(triangles, floor_height, named_bodies)
+        latest = Obstacles(triangles, floor_height, body_names_and_triangle_counts)
         _LATEST_OBSTACLES.clear()
         _LATEST_OBSTACLES[key] = latest
     return latest

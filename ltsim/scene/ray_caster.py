@@ -25,9 +25,9 @@ class RayCaster:
     """Unit normals (m, 3) of the m triangles; zero for a triangle without area."""
     low_corner: Floats
     """Smallest coordinates (3,) [m] of all triangles, the origin of Embree's coordinates."""
-    scale: float
+    embree_units_per_metre: float
     """Number of units of Embree in a metre."""
-    scene: Any
+    embree_scene: Any
     """Embree object that holds the scaled triangles."""
 
     @classmethod
@@ -50,8 +50,8 @@ class RayCaster:
 
         Embree finds the triangle; the distance to its plane is computed in double precision.
         """
-        start = np.ascontiguousarray((origins - self.low_corner) * self.scale, dtype=np.float32)
-        triangle = np.asarray(self.scene.run(start, np.ascontiguousarray(directions, dtype=np.float32)))
+        start = np.ascontiguousarray((origins - self.low_corner) * self.embree_units_per_metre, dtype=np.float32)
+        triangle = np.asarray(self.embree_scene.run(start, np.ascontiguousarray(directions, dtype=np.float32)))
         ray = np.flatnonzero(triangle >= 0)
         normal, corner = self.normals[triangle[ray]], self.triangles[triangle[ray], 0]
         cosine = np.einsum("ij,ij->i", normal, directions[ray])

@@ -32,7 +32,7 @@ MIN_CENTRE_STEP = 0.5
 MAX_CENTRES_PER_AXIS = 10
 """Largest number of centres of regions along an axis of the coarsest grid; it limits the number of candidate
 regions."""
-GRID_SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
+GRID_SUBDIVISIONS_BY_N_AXES = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Fineness of the grids of candidate regions, by the number of axes in which a region is bounded: each number divides
 the spacing of the coarsest grid. A finer grid detects disturbances much narrower than the coarsest spacing: a region
 several times as wide as the disturbance has only a tenth of the evidence."""
@@ -247,11 +247,13 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
 
 
 def _candidate_regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
-    """Candidate regions bounded in `axes`, on the coarsest grid and on the finer grids of `GRID_SUBDIVISIONS`."""
+    """Candidate regions bounded in `axes`, on the coarsest grid and on the finer grids for its number of axes."""
     low, high = coordinate_extent(sightings)
     coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
     return [
-        r for parts in GRID_SUBDIVISIONS[len(axes)] for r in _regions_on_grid(sightings, axes, coarsest_spacing / parts)
+        r
+        for parts in GRID_SUBDIVISIONS_BY_N_AXES[len(axes)]
+        for r in _regions_on_grid(sightings, axes, coarsest_spacing / parts)
     ]
 
 

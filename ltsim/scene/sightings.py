@@ -77,7 +77,7 @@ class Sightings:
         return {}
 
     @cached_property
-    def station_indices(self) -> dict[str, list[int]]:
+    def station_indices_by_name(self) -> dict[str, list[int]]:
         """Indices of the stations with each name.
 
         A name has several indices if alternative positions of one station are evaluated together.
@@ -85,7 +85,7 @@ class Sightings:
         return _index_by_name(self.station_names)
 
     @cached_property
-    def target_indices(self) -> dict[str, list[int]]:
+    def target_indices_by_name(self) -> dict[str, list[int]]:
         """Indices of the targets with each name."""
         return _index_by_name(self.target_names)
 
@@ -101,34 +101,34 @@ class Sightings:
         return np.einsum("nji,nj->ni", self.station_rotations[self.station], self.sight_vectors)
 
     @cached_property
-    def front_face_polar(self) -> Floats:
+    def ideal_front_face_readings(self) -> Floats:
         """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the front face, (n, 3)."""
         return to_polar(self.local_points)
 
     @cached_property
-    def raw_readings(self) -> Floats:
+    def ideal_raw_readings(self) -> Floats:
         """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the used face, (n, 3)."""
-        return to_face(self.front_face_polar, self.face)
+        return to_face(self.ideal_front_face_readings, self.face)
 
     @property
     def instrument_readings(self) -> Floats:
         """Raw readings (n, 3) [m, rad] of n pointings: `encoder_readings` if given, otherwise ideal readings."""
-        return self.raw_readings if self.encoder_readings is None else self.encoder_readings
+        return self.ideal_raw_readings if self.encoder_readings is None else self.encoder_readings
 
     @property
     def range_(self) -> Floats:
         """Ideal range of each of n pointings, (n,) [m]."""
-        return self.front_face_polar[:, 0]
+        return self.ideal_front_face_readings[:, 0]
 
     @property
     def azimuth(self) -> Floats:
         """Ideal azimuth of each of n pointings on the front face, (n,) [rad]."""
-        return self.front_face_polar[:, 1]
+        return self.ideal_front_face_readings[:, 1]
 
     @property
     def elevation(self) -> Floats:
         """Ideal elevation of each of n pointings on the front face, (n,) [rad]."""
-        return self.front_face_polar[:, 2]
+        return self.ideal_front_face_readings[:, 2]
 
     @cached_property
     def face_sign(self) -> Floats:
@@ -138,7 +138,7 @@ class Sightings:
     @cached_property
     def local_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
-        return polar_jacobian(self.front_face_polar, self.face)
+        return polar_jacobian(self.ideal_front_face_readings, self.face)
 
     @cached_property
     def target_derivatives(self) -> Floats:
@@ -165,7 +165,9 @@ class Sightings:
         a fixed point a reading is therefore smaller by its correction, hence the minus sign.
         """
         error_keys = {motion.error_key for motion in MISALIGNMENT_CHAIN}
-        _, derivatives_by_key = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, error_keys)
+        _, derivatives_by_key = points_and_error_derivatives(
+            MISALIGNMENT_CHAIN, self.ideal_raw_readings, {}, error_keys
+        )
         return {
             key: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for key, moved in derivatives_by_key.items()
         }
@@ -215,14 +217,14 @@ class Sightings:
         return sums_by_row
 
     @cached_property
-    def reading_changes(self) -> Floats:
+    def reading_changes_since_previous_pointing(self) -> Floats:
         """Change (n, 3) [m, rad] of the readings of n pointings from the previous pointing of the same station.
 
         It is 0 for the first pointing of a station. The change of azimuth is the shorter of the two rotations.
         """
         move: Floats = np.where(
             self.previous_pointing_indices[:, None] >= 0,
-            self.raw_readings - self.raw_readings[self.previous_pointing_indices],
+            self.ideal_raw_readings - self.ideal_raw_readings[self.previous_pointing_indices],
             0.0,
         )
         move[:, 1] = wrap_angle(move[:, 1])
@@ -231,7 +233,7 @@ class Sightings:
     @cached_property
     def cumulative_head_rotation(self) -> Floats:
         """Cumulative rotation (n,) [rad] of the head at n pointings since the set-up began, full turns counted."""
-        return self._cumulative_sum(self.reading_changes[:, 1])
+        return self._cumulative_sum(self.reading_changes_since_previous_pointing[:, 1])
 
     @cached_property
     def approach_signs(self) -> Floats:
@@ -241,7 +243,9 @@ class Sightings:
         the set-up of a station.
         """
         sign = np.where(
-            np.abs(self.reading_changes[:, 1:]) < MIN_AXIS_ROTATION, 0.0, np.sign(self.reading_changes[:, 1:])
+            np.abs(self.reading_changes_since_previous_pointing[:, 1:]) < MIN_AXIS_ROTATION,
+            0.0,
+            np.sign(self.reading_changes_since_previous_pointing[:, 1:]),
         )
         for row in self.measurement_order:
             before = self.previous_pointing_indices[row]
@@ -262,12 +266,14 @@ class Sightings:
         """
         place = self.target_points[self.target]
         has_previous = self.previous_pointing_indices >= 0
-        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_pointing_indices], 0.0)
+        previous_polar = np.where(
+            has_previous[:, None], self.ideal_front_face_readings[self.previous_pointing_indices], 0.0
+        )
         covariate_values = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
-            "circle": wrap_angle(self.raw_readings[:, 1]),
-            "vertical-circle": wrap_angle(self.raw_readings[:, 2]),
+            "circle": wrap_angle(self.ideal_raw_readings[:, 1]),
+            "vertical-circle": wrap_angle(self.ideal_raw_readings[:, 2]),
             "distance": self.range_,
             "horizontal": self.range_ * np.cos(self.elevation),
             "height": self.local_points[:, 2],
@@ -292,7 +298,7 @@ class Sightings:
         changing = dict(
             zip(
                 ("distance", "azimuth", "elevation"),
-                zip(previous_polar.T, self.reading_changes.T, strict=True),
+                zip(previous_polar.T, self.reading_changes_since_previous_pointing.T, strict=True),
                 strict=True,
             )
         )

@@ -28,10 +28,10 @@ class InvisibilityReason(IntEnum):
 
     VISIBLE = 0
     STATION_INSIDE = 1
-    RANGE = 2
-    BELOW = 3
-    ABOVE = 4
-    SHADOW = 5
+    OUT_OF_RANGE = 2
+    BELOW_MIN_ELEVATION = 3
+    ABOVE_MAX_ELEVATION = 4
+    STAND_SHADOW = 5
     ACCEPTANCE = 6
     OBSTACLE = 7
     MARGINAL = 8
@@ -65,17 +65,17 @@ class SightLimits:
     """Longest measurable range [m]."""
     max_incidence: float = 30.0 * DEGREE
     """Largest incidence angle on a reflector [rad]."""
-    declared_cone_opening: float | None = None
+    declared_shadow_cone_opening: float | None = None
     """Full opening angle [rad] of the cone below the instrument in which its own stand hides targets; if None, the
     angle follows from `elevation_min`."""
 
     @property
-    def cone_opening(self) -> float:
+    def shadow_cone_opening(self) -> float:
         """Full opening angle [rad] of the shadow cone: as declared, or by default derived from `elevation_min`."""
         return (
-            shadow_cone_opening(self.elevation_min)
-            if self.declared_cone_opening is None
-            else self.declared_cone_opening
+            default_shadow_cone_opening(self.elevation_min)
+            if self.declared_shadow_cone_opening is None
+            else self.declared_shadow_cone_opening
         )
 
 
@@ -116,15 +116,15 @@ class Visibility:
         code, limits = self.reason_codes[station, target], self.limits[station]
         range_, elevation = self.ranges[station, target], self.elevations[station, target] / DEGREE
         key, number = {
-            InvisibilityReason.RANGE: (
+            InvisibilityReason.OUT_OF_RANGE: (
                 "range_min_mm" if range_ < limits.range_min else "range_max_mm",
                 f"{range_:.2f} m, expected {limits.range_min:g} to {limits.range_max:g} m",
             ),
-            InvisibilityReason.BELOW: (
+            InvisibilityReason.BELOW_MIN_ELEVATION: (
                 "elevation_min_deg",
                 f"{elevation:.1f} deg, the minimum is {limits.elevation_min / DEGREE:.4g} deg",
             ),
-            InvisibilityReason.ABOVE: (
+            InvisibilityReason.ABOVE_MAX_ELEVATION: (
                 "elevation_max_deg",
                 f"{elevation:.1f} deg, the maximum is {limits.elevation_max / DEGREE:.4g} deg",
             ),
@@ -149,7 +149,7 @@ class Visibility:
         ]
 
 
-def shadow_cone_opening(min_elevation: float) -> float:
+def default_shadow_cone_opening(min_elevation: float) -> float:
     """Full opening angle [rad] of the shadow cone under an instrument whose lowest elevation is `min_elevation` [rad].
 
     The cone contains the directions below the lowest elevation: 70 deg for a lowest elevation of -55 deg.
@@ -157,7 +157,7 @@ def shadow_cone_opening(min_elevation: float) -> float:
     return float(np.pi + 2.0 * min_elevation)
 
 
-def shadow_radii(position: Floats, height: float, cone_angle: float) -> Floats:
+def shadow_cone_radii(position: Floats, height: float, cone_angle: float) -> Floats:
     """Radii (S,) [m] of the circles in which the shadow cones of S upright instruments intersect a horizontal plane.
 
     `position` (S, 3) [m] are the instruments, `height` [m] is the height of the plane, `cone_angle` [rad] the full
@@ -194,13 +194,13 @@ def compute_visibility(
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
     incidence = _incidence_on_reflectors(beam, nest_normals, is_reaimed)
     reason = np.zeros(range_.shape, dtype=np.int8)
-    shadow = 0.5 * limits.cone_opening - 0.5 * np.pi
+    shadow = 0.5 * limits.shadow_cone_opening - 0.5 * np.pi
     checks = (
         (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
-        (InvisibilityReason.SHADOW, elevation < shadow - LIMIT_TOLERANCE),
-        (InvisibilityReason.ABOVE, elevation > limits.elevation_max + LIMIT_TOLERANCE),
-        (InvisibilityReason.BELOW, elevation < limits.elevation_min - LIMIT_TOLERANCE),
-        (InvisibilityReason.RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
+        (InvisibilityReason.STAND_SHADOW, elevation < shadow - LIMIT_TOLERANCE),
+        (InvisibilityReason.ABOVE_MAX_ELEVATION, elevation > limits.elevation_max + LIMIT_TOLERANCE),
+        (InvisibilityReason.BELOW_MIN_ELEVATION, elevation < limits.elevation_min - LIMIT_TOLERANCE),
+        (InvisibilityReason.OUT_OF_RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
     )
     for code, holds in checks:
         reason[holds] = code
@@ -250,7 +250,7 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
     reason_table[is_inside] = InvisibilityReason.STATION_INSIDE
 
 
-def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
+def nest_normals_of_smallest_incidence(position: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Normals (T, 3) of T fixed nests whose largest incidence angle over S stations is smallest, and this angle (T,).
 
     The nests are at `points` (T, 3) [m], the instruments at `position` (S, 3) [m]. The normal is the axis of the

@@ -5,10 +5,10 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, as_input_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, construction_with_dh_orders, misalignment_construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, tracker_table_name
@@ -18,7 +18,7 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
     """Instrument model that all trackers of a scenario share."""
     instrument = next(iter(scenario.trackers_in_use.values()))
-    return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
+    return construction_with_dh_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> GeometricErrorModel:
@@ -31,7 +31,9 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
     if built.name == "steering-mirror":
         return built
     observables = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
-    return misalignment_construction(effect for effect in MISALIGNMENT_EFFECTS if observables & {*effect.observables})
+    return misalignment_construction(
+        effect for effect in ORDINARY_CALIBRATION_EFFECTS if observables & {*effect.observables}
+    )
 
 
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:

@@ -96,7 +96,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
         face=s.face,
         repeat=s.repeat,
         time=s.time,
-        readings=s.raw_readings,
+        readings=s.ideal_raw_readings,
         covariates=s.covariates,
         labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )

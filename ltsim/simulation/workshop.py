@@ -18,9 +18,9 @@ from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, joi
 from ltsim.scene.visibility import (
     SightLimits,
     Visibility,
-    best_nest_normals,
     compute_visibility,
     join_visibility_tables,
+    nest_normals_of_smallest_incidence,
 )
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, Obstacle, ScenarioGauge, ScenarioInstrument
@@ -227,7 +227,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
-        normal[open_] = best_nest_normals(position, points[open_])[0]
+        normal[open_] = nest_normals_of_smallest_incidence(position, points[open_])[0]
     return normal, reaimed
 
 
@@ -240,7 +240,7 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
         range_min=limits.range_min_mm * MILLIMETRE,
         range_max=limits.range_max_mm * MILLIMETRE,
         max_incidence=scenario.smr.acceptance_deg * DEGREE,
-        declared_cone_opening=None if cone is None else cone * DEGREE,
+        declared_shadow_cone_opening=None if cone is None else cone * DEGREE,
     )
 
 
@@ -257,7 +257,7 @@ class PlacedObstacle:
     @property
     def description(self) -> str:
         """Description of the obstacle for people: name, interpretation of its CAD file, size and position."""
-        file_text = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
+        file_text = f" ({self.cad_file.path.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
         return f"{self.name or 'obstacle'}{file_text}: {extent_text(self.triangles)}"
 
 
@@ -313,7 +313,7 @@ def _implausible_position_message(
     if obstacle_entry.beyond_room or is_inside_hall(placed_body.triangles, hall_size):
         return ""
     other_axis = "z" if cad_file.vertical_axis == "y" else "y"
-    turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
+    turned = _placed_triangles(obstacle_entry, cad_file.triangles_with_other_vertical_axis)
     size_text = " x ".join(f"{v:g}" for v in hall_size)
     problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the hall"
     fits = (
@@ -322,7 +322,7 @@ def _implausible_position_message(
         else "move it by position_mm"
     )
     return (
-        f"{cad_file.file}: {problem} of {size_text} m "
+        f"{cad_file.path}: {problem} of {size_text} m "
         f"({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
         f"{fits}; if this is correct, set beyond_room = true"
     )

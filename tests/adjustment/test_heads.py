@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.physics.model.measurement import with_plumb_lines
+from ltsim.physics.model.measurement import with_spherical_earth_plumb_lines
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Station
@@ -59,6 +59,8 @@ def test_plumb_lines_lean_outwards_on_a_sphere() -> None:
     recording, _ = set_up_anew(5)
     curved = recording.replace(setup=recording.setup.model_copy(update={"curved": True}))
     place = np.array([[-300.0, 0.0, 1.0], [300.0, 0.0, 2.0], [0.0, 200.0, 0.0], [0.0, -200.0, 0.0]])
-    leaning = [with_plumb_lines(curved, place).station_setup(name).vertical for name in recording.stations]
+    leaning = [
+        with_spherical_earth_plumb_lines(curved, place).station_setup(name).vertical for name in recording.stations
+    ]
     np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH_RADIUS, place[:, :2], atol=1e-6)
-    assert with_plumb_lines(recording, place) is recording
+    assert with_spherical_earth_plumb_lines(recording, place) is recording

@@ -35,13 +35,13 @@ def recording() -> Recording:
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     found = adjust(recording, tested_reference_kinds=())
     (shared,) = shared_errors(recording)
-    assert shared.reading_changes.shape == (len(recording), len(OBSERVABLES), 2)
+    assert shared.reading_changes_per_sigma.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
     plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
     assert found.dof == plain.dof
     system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
     design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.is_used_reading
-    reach = shared.reading_changes[used] / plain.sigma[used][:, None]
+    reach = shared.reading_changes_per_sigma[used] / plain.sigma[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
     rows = slice(0, len(reach))
     design[rows], residual[rows] = np.linalg.solve(root, design[rows]), np.linalg.solve(root, residual[rows])
@@ -57,6 +57,8 @@ def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path
     write(recording, tmp_path / "native", "native")
     again = read(tmp_path / "native")
     np.testing.assert_allclose(
-        shared_errors(again)[0].reading_changes, shared_errors(recording)[0].reading_changes, rtol=1e-9
+        shared_errors(again)[0].reading_changes_per_sigma,
+        shared_errors(recording)[0].reading_changes_per_sigma,
+        rtol=1e-9,
     )
     assert not any(name.startswith("shared_") for name in again.regressor_covariates)

@@ -72,7 +72,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
             smooth_regressor("time"),
             has_coefficients_per_setup=each,
         )
-        ratio = (*ratio, *(0.1,) * (free.n_components - len(ratio)))
+        ratio = (*ratio, *(0.1,) * (free.n_setup_components - len(ratio)))
         fixed = EmpiricalLaw(
             stations, (), free.response, free.regressor, has_coefficients_per_setup=each, direction=ratio
         )
@@ -80,7 +80,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
         np.testing.assert_allclose(
             fixed.design(sightings) @ values, free.design(sightings) @ np.kron(ratio, values), atol=1e-12
         )
-        assert len(fixed.parameters) * free.n_components == len(free.parameters)
+        assert len(fixed.parameters) * free.n_setup_components == len(free.parameters)
 
 
 def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
@@ -88,7 +88,7 @@ def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
     for each in (False, True):
         stations = recording.stations if each else ()
         bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), has_coefficients_per_setup=each)
-        ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_components), 4).tolist())
+        ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_setup_components), 4).tolist())
         law = EmpiricalLaw(stations, (), stand, bare.regressor, has_coefficients_per_setup=each, direction=ratio)
         assert parse_law("position of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
     with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):

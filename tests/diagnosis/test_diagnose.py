@@ -113,7 +113,7 @@ def test_what_the_last_move_left_behind_is_no_noise():
     recording, state = workshop(9)
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(
-        sightings, elevation=np.abs(sightings.reading_changes[:, 1]) * sightings.range_
+        sightings, elevation=np.abs(sightings.reading_changes_since_previous_pointing[:, 1]) * sightings.range_
     )
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]

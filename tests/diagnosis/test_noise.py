@@ -130,7 +130,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     """Turbulence of a size that no grid holds: each of its two amounts, or both, averaged over the logarithm."""
     space, _, bank = repeated
     effect, used = Turbulence(), space.is_used_reading
-    between = np.sqrt(np.prod([sizes[0] for sizes in effect.size_grid()[2:4]]))
+    between = np.sqrt(np.prod([sizes[0] for sizes in effect.candidate_parameter_values()[2:4]]))
     true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
     residual = space.whitened_residuals.copy()
     residual[: int(used.sum())] *= np.sqrt(true[used])
@@ -143,7 +143,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
 
     one = []
     for k in range(2):
-        tried = [np.log(sizes[k]) for sizes in effect.size_grid() if sizes[k]]
+        tried = [np.log(sizes[k]) for sizes in effect.candidate_parameter_values() if sizes[k]]
         fine = np.linspace(min(tried), max(tried), 4001)
         logs = np.array([gained(k, x) for x in fine])
         one.append(logsumexp(logs) - np.log(len(fine)))
@@ -259,7 +259,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = VarianceFunction(("distance",), repetition=REPEATS_IN_BOTH_FACES)
+    found = VarianceFunction(("distance",), shared_error_repetition=REPEATS_IN_BOTH_FACES)
     assert (found.response_text, found.regressor_text) == ("distance", "station and target")
     assert "in both faces" in found.text
 

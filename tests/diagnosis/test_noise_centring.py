@@ -70,7 +70,7 @@ def test_no_centring_errors_without_displacements_or_occupations() -> None:
 def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
     diagnosis = diagnose(centred_anew(13, SIGMA))
     (finding,) = diagnosis.findings
-    assert finding.formula == CentringVariance(occupation="target_setup").text
+    assert finding.formula == CentringVariance(occupation_grouping="target_setup").text
     assert finding.sentence.startswith("Centring errors: reflectors that are centred anew at each occupation")
     assert finding.parameters[0].value == pytest.approx(0.15, rel=0.25)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
@@ -92,7 +92,7 @@ def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_eac
     recording = repeated(14, 0.02 * MILLIMETRE)
     diagnosis = diagnose(recording)
     (finding,) = diagnosis.findings
-    assert finding.formula == CentringVariance(occupation="station").text
+    assert finding.formula == CentringVariance(occupation_grouping="station").text
     assert finding.sentence.startswith("Repeated pointings of a target from one set-up share errors of 0.0")
     assert finding.parameters[0].value == pytest.approx(0.02, rel=0.2)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)

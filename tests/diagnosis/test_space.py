@@ -58,7 +58,7 @@ def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, exte
 
 def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
     """That is its place, which is estimated; known lengths alone would feel it, and they have errors of their own."""
-    assert not [p for p in made[1] if p.responses[0].kind == "target" and CONSTANT_REGRESSOR in p.regressors]
+    assert not [p for p in made[1] if p.responses[0].changed_part == "target" and CONSTANT_REGRESSOR in p.regressors]
 
 
 def test_priors_sum_to_one_over_everything(space, made):

@@ -16,7 +16,7 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
     Regressor,
-    passage_regressor,
+    path_length_regressor,
     scalar_regressor,
     smooth_regressor,
     switch_regressor,
@@ -60,7 +60,7 @@ def at(space: ResidualSpace, *shares: float) -> list[Regressor]:
             Regressor("product", factors=(smooth_regressor("time", 4), smooth_regressor("distance", 4))),
         ),
         EmpiricalLaw(
-            (), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], passage_regressor(HallRegion("z", (1.0,), 0.5))
+            (), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], path_length_regressor(HallRegion("z", (1.0,), 0.5))
         ),
     ],
     ids=["angle", "two components", "product", "region"],
@@ -94,7 +94,7 @@ def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
 
 
 def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpace) -> None:
-    region = passage_regressor(HallRegion("z", (0.8,), 0.4))
+    region = path_length_regressor(HallRegion("z", (0.8,), 0.4))
     gate = switch_regressor(at(space, 0.1, 0.2, 0.4, 0.5))
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
     base, exact = with_law(space, law, 600.0), EvidenceCalculator(space)

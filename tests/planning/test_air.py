@@ -13,7 +13,7 @@ from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import (
     air_point_sigma_across_beam,
     air_point_sigma_along_beam,
-    reading_changes_per_sigma,
+    reading_changes_per_air_sigma,
 )
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
@@ -31,7 +31,7 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     information = LayoutInformation.from_survey(made, built)
     added = information.target_covariance - LayoutInformation.from_survey(without, built).target_covariance
     recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
-    errors = reading_changes_per_sigma(air, sightings)
+    errors = reading_changes_per_air_sigma(air, sightings)
     moved = []
     for cause, station in np.ndindex(2, 3):
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)

@@ -137,9 +137,9 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
 def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     """A range offset taken as an effect beside the others has the information it has as a parameter without prior."""
     made = survey()
-    from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+    from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 
-    others = misalignment_construction(e for e in MISALIGNMENT_EFFECTS if e.name != "range-offset")
+    others = misalignment_construction(e for e in ORDINARY_CALIBRATION_EFFECTS if e.name != "range-offset")
     reducer = LayoutScorer(made, others, [RangeOffset()])
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws, np.arange(5)), np.arange(5)[None]

@@ -29,7 +29,7 @@ from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_space import SearchSpace
 from ltsim.scene.floor import StandingArea, is_inside_outline
 from ltsim.scene.meshes import box_triangles, join_obstacles, rotate_and_shift_triangles
-from ltsim.scene.visibility import SightLimits, best_nest_normals, compute_visibility
+from ltsim.scene.visibility import SightLimits, compute_visibility, nest_normals_of_smallest_incidence
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -204,10 +204,13 @@ def test_fixed_nests_are_served_by_all_stations() -> None:
     aimed = np.ones(28, dtype=bool)
     where = site(is_aimed_nest=aimed)
     made = searcher(where).search_from(0, 1)
-    half = best_nest_normals(made.positions, where.survey.target_points)[1]
+    half = nest_normals_of_smallest_incidence(made.positions, where.survey.target_points)[1]
     assert half.max() <= where.sight_limits.max_incidence
     free = searcher(site()).search_from(0, 1)
-    assert best_nest_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.max_incidence
+    assert (
+        nest_normals_of_smallest_incidence(free.positions, where.survey.target_points)[1].max()
+        > where.sight_limits.max_incidence
+    )
 
 
 def test_targets_and_diagnosis_are_goals_of_their_own() -> None:

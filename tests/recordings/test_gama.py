@@ -122,10 +122,10 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
         sample(tmp_path / "m.gkf", '<direction to="C" val="55" />', f'<direction to="C" val="55" />{matrix}')
     )
     (shared,) = shared_errors(correlated)
-    reach = shared.reading_changes[2:5, 1]
+    reach = shared.reading_changes_per_sigma[2:5, 1]
     spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
     np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)
-    assert np.count_nonzero(shared.reading_changes) == np.count_nonzero(reach) == 2
+    assert np.count_nonzero(shared.reading_changes_per_sigma) == np.count_nonzero(reach) == 2
     assert not {*correlated.regressor_covariates}
 
 

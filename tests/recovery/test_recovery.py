@@ -118,10 +118,10 @@ def test_a_flipped_sign_fails_and_is_named(error_key: str) -> None:
 
 @pytest.mark.long
 def test_a_parameter_that_the_model_lacks_fails() -> None:
-    from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+    from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 
     without = misalignment_construction(
-        effect for effect in MISALIGNMENT_EFFECTS if effect.name != "azimuth-eccentricity"
+        effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name != "azimuth-eccentricity"
     )
     failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failed_checks()
     assert "chi-square" in {failure.subject for failure in failures}

@@ -15,7 +15,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.sentences import catalogue_effect_sentence, diagnosis_summary
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.reports.document_model import Section, SectionContext
 from ltsim.reports.sections.campaign import campaign_section
 from ltsim.reports.sections.diagnosis import diagnosis_section
@@ -25,7 +25,7 @@ from tests.reports import samples
 KINDS = list(CATALOGUE)
 
 
-NAMES = {kind.name for kind in KINDS} | {p.name for effect in MISALIGNMENT_EFFECTS for p in effect.parameters}
+NAMES = {kind.name for kind in KINDS} | {p.name for effect in ORDINARY_CALIBRATION_EFFECTS for p in effect.parameters}
 KEYS = re.compile(r"\b(" + "|".join(key for key in sorted({*NAMES, "tilt-x"}) if "-" in key) + r")\b")
 """Keys of effects and parameters; one without a hyphen is a word."""
 

@@ -25,8 +25,8 @@ def sightings():
 def test_moves_of_a_station_add_up(sightings):
     for station in range(len(sightings.station_names)):
         rows = sightings.measurement_order[sightings.station[sightings.measurement_order] == station]
-        whole = sightings.raw_readings[rows[-1]] - sightings.raw_readings[rows[0]]
-        gone = sightings.reading_changes[rows].sum(axis=0)
+        whole = sightings.ideal_raw_readings[rows[-1]] - sightings.ideal_raw_readings[rows[0]]
+        gone = sightings.reading_changes_since_previous_pointing[rows].sum(axis=0)
         assert gone[[0, 2]] == pytest.approx(whole[[0, 2]], abs=1e-9)
         assert wrap_angle(np.array([gone[1] - whole[1]])) == pytest.approx(0.0, abs=1e-9)
 
@@ -34,7 +34,7 @@ def test_moves_of_a_station_add_up(sightings):
 def test_the_first_pointing_of_a_station_comes_from_nowhere(sightings):
     first = sightings.previous_pointing_indices < 0
     assert first.sum() == len(sightings.station_names)
-    assert not sightings.reading_changes[first].any()
+    assert not sightings.reading_changes_since_previous_pointing[first].any()
     assert not sightings.approach_signs[first].any()
     assert (sightings.station[sightings.previous_pointing_indices[~first]] == sightings.station[~first]).all()
     assert (sightings.time[sightings.previous_pointing_indices[~first]] < sightings.time[~first]).all()
@@ -60,6 +60,6 @@ def test_an_axis_that_stands_still_was_moved_earlier(sightings):
     target, face = sightings.target.copy(), sightings.face.copy()
     target[rows[2]], face[rows[2]] = target[rows[1]], face[rows[1]]
     again = replace(sightings, target=target, face=face)
-    assert not again.reading_changes[rows[2]].any()
+    assert not again.reading_changes_since_previous_pointing[rows[2]].any()
     assert (again.approach_signs[rows[2]] == again.approach_signs[rows[1]]).all()
     assert again.approach_signs[rows[1]].all()

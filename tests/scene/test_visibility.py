@@ -10,10 +10,10 @@ from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.scene.visibility import (
     InvisibilityReason,
     SightLimits,
-    best_nest_normals,
     compute_visibility,
-    shadow_cone_opening,
-    shadow_radii,
+    default_shadow_cone_opening,
+    nest_normals_of_smallest_incidence,
+    shadow_cone_radii,
 )
 
 HEAD = np.array([[0.0, 0.0, 2.0]])
@@ -33,11 +33,11 @@ def reason(point: np.ndarray, limits: SightLimits = LIMITS) -> InvisibilityReaso
 @pytest.mark.parametrize(
     ("elevation", "expected"),
     [
-        (-55.1, InvisibilityReason.BELOW),
+        (-55.1, InvisibilityReason.BELOW_MIN_ELEVATION),
         (-54.9, InvisibilityReason.VISIBLE),
         (0.0, InvisibilityReason.VISIBLE),
         (76.9, InvisibilityReason.VISIBLE),
-        (77.1, InvisibilityReason.ABOVE),
+        (77.1, InvisibilityReason.ABOVE_MAX_ELEVATION),
     ],
 )
 def test_elevation_limits(elevation: float, expected: InvisibilityReason) -> None:
@@ -47,38 +47,38 @@ def test_elevation_limits(elevation: float, expected: InvisibilityReason) -> Non
 def test_range_limits() -> None:
     limits = SightLimits(range_min=1.0, range_max=5.0)
     assert [reason(at(0.0, r), limits) for r in (0.9, 1.1, 4.9, 5.1)] == [
-        InvisibilityReason.RANGE,
+        InvisibilityReason.OUT_OF_RANGE,
         InvisibilityReason.VISIBLE,
         InvisibilityReason.VISIBLE,
-        InvisibilityReason.RANGE,
+        InvisibilityReason.OUT_OF_RANGE,
     ]
 
 
 def test_a_limit_of_minus_55_hides_a_cone_of_70_degrees() -> None:
-    assert shadow_cone_opening(-55 * DEGREE) == pytest.approx(70 * DEGREE)
-    assert LIMITS.cone_opening == pytest.approx(70 * DEGREE)
-    assert shadow_radii(HEAD, 0.15, LIMITS.cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
-    assert shadow_radii(HEAD, 3.0, LIMITS.cone_opening)[0] == 0.0
+    assert default_shadow_cone_opening(-55 * DEGREE) == pytest.approx(70 * DEGREE)
+    assert LIMITS.shadow_cone_opening == pytest.approx(70 * DEGREE)
+    assert shadow_cone_radii(HEAD, 0.15, LIMITS.shadow_cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
+    assert shadow_cone_radii(HEAD, 3.0, LIMITS.shadow_cone_opening)[0] == 0.0
 
 
 def test_an_explicit_opening_keeps_a_wider_cone_free() -> None:
-    wide = SightLimits(declared_cone_opening=110 * DEGREE)
+    wide = SightLimits(declared_shadow_cone_opening=110 * DEGREE)
     assert [reason(at(e), wide) for e in (-56.0, -40.0, -36.0, -34.0)] == [
-        InvisibilityReason.BELOW,
-        InvisibilityReason.SHADOW,
-        InvisibilityReason.SHADOW,
+        InvisibilityReason.BELOW_MIN_ELEVATION,
+        InvisibilityReason.STAND_SHADOW,
+        InvisibilityReason.STAND_SHADOW,
         InvisibilityReason.VISIBLE,
     ]
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.0, 1.5), st.floats(20, 120))
 def test_shadow_circle_and_table_agree(x: float, y: float, z: float, opening_deg: float) -> None:
-    limits = SightLimits(elevation_min=-90 * DEGREE, declared_cone_opening=opening_deg * DEGREE)
-    radius = shadow_radii(HEAD, z, limits.cone_opening)[0]
+    limits = SightLimits(elevation_min=-90 * DEGREE, declared_shadow_cone_opening=opening_deg * DEGREE)
+    radius = shadow_cone_radii(HEAD, z, limits.shadow_cone_opening)[0]
     distance = np.hypot(x, y)
     if abs(distance - radius) < 1e-6 or distance < 1e-6:
         return
-    assert (reason(np.array([[x, y, z]]), limits) == InvisibilityReason.SHADOW) == (distance < radius)
+    assert (reason(np.array([[x, y, z]]), limits) == InvisibilityReason.STAND_SHADOW) == (distance < radius)
 
 
 def test_limits_follow_a_leaning_instrument() -> None:
@@ -87,7 +87,7 @@ def test_limits_follow_a_leaning_instrument() -> None:
     assert table.elevations[0, 0] == pytest.approx(-40 * DEGREE)
     assert (
         compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean.transpose(0, 2, 1)).reason_codes[0, 0]
-        == InvisibilityReason.BELOW
+        == InvisibilityReason.BELOW_MIN_ELEVATION
     )
 
 
@@ -142,7 +142,7 @@ def test_nonsense_is_refused() -> None:
 def test_aimed_normals_are_the_axes_of_the_narrowest_cones() -> None:
     rng = np.random.default_rng(5)
     stations, targets = rng.uniform(2, 6, (5, 3)), rng.uniform(-1, 0.5, (6, 3))
-    normal, half = best_nest_normals(stations, targets)
+    normal, half = nest_normals_of_smallest_incidence(stations, targets)
     back = stations - targets[:, None]
     back /= np.linalg.norm(back, axis=2, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
-from ltsim.scene.visibility import InvisibilityReason, best_nest_normals, shadow_radii
+from ltsim.scene.visibility import InvisibilityReason, nest_normals_of_smallest_incidence, shadow_cone_radii
 from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
@@ -69,7 +69,7 @@ def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: flo
     assert make_sight_limits(scenario, scenario.instrument).elevation_min == pytest.approx(-55 * DEGREE)
     table = make_visibility(scenario)
     assert table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names) == []
-    radius = shadow_radii(LAYOUT.station_positions, 0.15, 110 * DEGREE)
+    radius = shadow_cone_radii(LAYOUT.station_positions, 0.15, 110 * DEGREE)
     floor = LAYOUT.target_points[16:24, :2]
     assert np.all(np.linalg.norm(floor - LAYOUT.station_positions[:, None, :2], axis=2) > radius[:, None])
 
@@ -104,7 +104,7 @@ def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
     table = make_visibility(PAPER)
     assert table.is_visible.all()
     assert table.incidence_angles.max() < 30 * DEGREE and np.median(table.incidence_angles) > 8 * DEGREE
-    normal, half = best_nest_normals(LAYOUT.station_positions, LAYOUT.target_points)
+    normal, half = nest_normals_of_smallest_incidence(LAYOUT.station_positions, LAYOUT.target_points)
     np.testing.assert_allclose(LAYOUT.nest_normals, normal, atol=1e-9)
     np.testing.assert_allclose(table.incidence_angles.max(axis=0), half, atol=1e-9)
 

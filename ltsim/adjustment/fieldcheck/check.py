@@ -50,7 +50,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.index_drift import IndexDrift
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
@@ -223,7 +223,7 @@ class SetupTests:
     """Results of the tests."""
     corrected_occupation: StationOccupation
     """Occupation without the pointings with gross errors, and with the detected motions and drifts fitted."""
-    motions: tuple[StationMotion, ...]
+    motions: tuple[StationMotionEffect, ...]
     """Detected motions of the station."""
     motion_corrected_recording: Recording
     """Recording whose readings are corrected for the detected motions and drifts."""
@@ -242,7 +242,7 @@ def _gross_and_motion_tests(
         _bump_item(occupation, bump, row_numbers, test_family),
     ]
     recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
-    motions: list[StationMotion] = [] if bump is None else [bump]
+    motions: list[StationMotionEffect] = [] if bump is None else [bump]
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
     drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)

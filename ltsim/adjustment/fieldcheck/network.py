@@ -21,7 +21,7 @@ from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.specification import noise_origin
@@ -38,7 +38,7 @@ def n_network_tests(recording: Recording) -> int:
     return N_NETWORK_TESTS + bool(recording.gauge.distance)
 
 
-def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
+def adjust_for_check(recording: Recording, motions: Sequence[StationMotionEffect]) -> Adjustment | LtsimError:
     """Network adjustment with the station motions `motions` as unknowns, or the error that prevents the adjustment."""
     try:
         plain = adjust(
@@ -106,7 +106,7 @@ def network_items(
     recording: Recording,
     adjustment_or_error: Adjustment | LtsimError,
     test_family: BonferroniFamily,
-    motions: Sequence[StationMotion],
+    motions: Sequence[StationMotionEffect],
     station_motions: Sequence[FittedMotion],
     *,
     uses_target_noise: bool,

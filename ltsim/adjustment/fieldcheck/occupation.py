@@ -107,10 +107,10 @@ class StationOccupation:
         prior = prior_sigmas(recording, construction)[0]
         # Linearised at the mean of each target: a gross reading would put its error into the instrument columns.
         target_design, parameter_design = construction.reading_design(
-            sightings.raw_readings, np.zeros(construction.n_parameters)
+            sightings.ideal_raw_readings, np.zeros(construction.n_parameters)
         )
         scale = (weight / sigma)[:, :, None]
-        misclosure = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
+        misclosure = np.where(weight, recording.readings - sightings.ideal_raw_readings, 0.0)
         misclosure[:, 1:] = wrap_angle(misclosure[:, 1:])
         target_basis, ranks = _orthonormal_by_target(target_design * scale, recording.target, len(recording.targets))
         no_columns = np.zeros((len(recording), 3, 0))

@@ -18,7 +18,7 @@ from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry
 
@@ -136,7 +136,7 @@ class SetupCheck(ValueEquality):
     """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
     row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
-    motions: tuple[StationMotion, ...] = ()
+    motions: tuple[StationMotionEffect, ...] = ()
     """Motions of the station that were detected during the occupation."""
 
 

@@ -50,7 +50,7 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_spherical_earth_plumb_lines
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
@@ -210,7 +210,7 @@ class NetworkFit:
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
             parameters = np.zeros((len(recording.instruments), fit_input.construction.n_parameters))
             start_state = NetworkState(*reached, parameters if fit_input.prior is None else fit_input.prior.mean)
-        recording = with_plumb_lines(recording, start_state.station_positions)
+        recording = with_spherical_earth_plumb_lines(recording, start_state.station_positions)
         effects = tuple(h.model_change.effect for h in hypotheses if isinstance(h.model_change, ReadingShiftChange))
         model = MeasurementModel(recording, fit_input.construction, effects)
         if len(start_state.extra_parameters) != model.n_extra_parameters:

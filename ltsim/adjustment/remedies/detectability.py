@@ -25,7 +25,7 @@ from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_SQUARED_CORRELATION
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 VariantT = TypeVar("VariantT")
@@ -43,7 +43,7 @@ def search_noncentrality(dof: int, n_variants: int) -> float:
     variants of the effect, and among all effects of the catalogue. An unknown cause counts as one more effect.
     """
     return noncentrality(
-        dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_variants * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1)
+        dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_variants * (len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS) + 1)
     )
 
 

@@ -72,7 +72,7 @@ ORDINARY_CALIBRATION_EFFECT_NAMES = (
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
 """Names of the effects whose parameters every ordinary calibration estimates."""
-MISALIGNMENT_EFFECTS = tuple(
+ORDINARY_CALIBRATION_EFFECTS = tuple(
     effect
     for name in ORDINARY_CALIBRATION_EFFECT_NAMES.split()
     if isinstance(effect := find_effect(name)(), ChainErrorEffect)
@@ -89,7 +89,7 @@ def _instrument_parameter_text_by_name() -> dict[str, str]:
     parameters.
     """
     texts = {}
-    for effect in MISALIGNMENT_EFFECTS:
+    for effect in ORDINARY_CALIBRATION_EFFECTS:
         title = (
             effect_title(effect.name)
             if len(effect.parameters) > 1

@@ -20,7 +20,7 @@ from ltsim.recordings.air import AirUncertainty
 from ltsim.scene.sightings import Sightings
 
 
-def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
+def reading_changes_per_air_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Change (n, 3, 2) of the raw readings of n pointings by one standard deviation of the air's properties.
 
     The last axis has an element for the temperature along the beams, and one for its vertical gradient.

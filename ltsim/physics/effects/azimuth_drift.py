@@ -28,10 +28,10 @@ class AzimuthDrift(MotionDrift):
     rate_parameter = Parameter(
         "azimuth-drift", "urad/h", "growth rate of the azimuth correction", 20 * SI_PER_UNIT["urad/h"]
     )
-    amplitude_parameter = Parameter(
+    decay_amplitude_parameter = Parameter(
         "azimuth-drift-amplitude", "urad", "azimuth correction at the start, which then decays", 20 * MICRORADIAN
     )
     parameters = (rate_parameter,)
 
-    candidate_linear_laws = ("visit",)
+    candidate_laws_linear_in_time = ("visit",)
     tries_single_stations = True

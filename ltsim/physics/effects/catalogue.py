@@ -117,7 +117,10 @@ class ListedEffect:
 
 def installed_entry_points() -> list[EntryPoint]:
     """Entry points of installed packages that provide effects; a package that is found twice counts once."""
-    points = {(_package_name(point), point.name, point.value): point for point in entry_points(group=ENTRY_POINT_GROUP)}
+    points = {
+        (_package_name_and_version(point), point.name, point.value): point
+        for point in entry_points(group=ENTRY_POINT_GROUP)
+    }
     return [points[key] for key in sorted(points)]
 
 
@@ -148,7 +151,7 @@ class Catalogue(Sequence[type[Effect]]):
         """
         added: dict[str, ListedEffect] = {}
         for point in self._find_entry_points():
-            entry = _load_effect_class(point)
+            entry = _load_listed_effect(point)
             earlier = (self._builtin_effects | added).get(entry.effect_class.name)
             if earlier is not None:
                 raise _unusable_effect_error(
@@ -203,7 +206,7 @@ class Catalogue(Sequence[type[Effect]]):
         return tuple(self)[index]
 
 
-def _package_name(entry_point: EntryPoint) -> str:
+def _package_name_and_version(entry_point: EntryPoint) -> str:
     """Name and version of the package that declares an entry point."""
     return (
         f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist is not None else "an unknown package"
@@ -212,13 +215,13 @@ def _package_name(entry_point: EntryPoint) -> str:
 
 def _unusable_effect_error(entry_point: EntryPoint, reason: str) -> ModelError:
     """Error with the `reason` why the effect of a package, given by its entry point, cannot be used."""
-    place = f"{entry_point.value} of {_package_name(entry_point)}"
+    place = f"{entry_point.value} of {_package_name_and_version(entry_point)}"
     return ModelError(
         f"the effect '{entry_point.name}' ({place}) cannot be used: {reason}; repair or uninstall that package"
     )
 
 
-def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
+def _load_listed_effect(entry_point: EntryPoint) -> ListedEffect:
     """Effect that an entry point of a package provides; raises ModelError if it cannot be used."""
     try:
         kind = entry_point.load()
@@ -230,7 +233,7 @@ def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
         catalogue_entry(kind)
     except ModelError as problem:
         raise _unusable_effect_error(entry_point, str(problem)) from None
-    return ListedEffect(kind, PACKAGE_EFFECTS_HEADING, _package_name(entry_point))
+    return ListedEffect(kind, PACKAGE_EFFECTS_HEADING, _package_name_and_version(entry_point))
 
 
 def invalid_effect_reason(effect_class: object) -> str:

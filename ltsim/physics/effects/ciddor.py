@@ -86,7 +86,7 @@ def refractivity(
 
 
 @lru_cache
-def refractive_index_sensitivity(temperature: float = 20.0) -> float:
+def refractive_index_decrease_per_kelvin(temperature: float = 20.0) -> float:
     """Sensitivity beta = -dn/dT [1/K] of the refractive index n to the temperature, at `temperature` [C].
 
     It is a central difference. Pressure and relative humidity are constant, with the default values of `refractivity`.

@@ -5,7 +5,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-def beam_deviation_basis(readings: Floats) -> Floats:
+def constant_half_basis(readings: Floats) -> Floats:
     """Values 0.5 of a constant basis function at n raw readings `readings` (n, 3), shape (n,).
 
     The beam shifts by half the shift of the return spot on the detector.
@@ -39,6 +39,6 @@ class DetectorOffset(ChainErrorEffect):
         Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
     )
     terms = (
-        ChainErrorTerm("beam-lateral", beam_deviation_basis),
-        ChainErrorTerm("beam-vertical", beam_deviation_basis),
+        ChainErrorTerm("beam-lateral", constant_half_basis),
+        ChainErrorTerm("beam-vertical", constant_half_basis),
     )

@@ -47,7 +47,7 @@ class FaceConfusion(Blunder):
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings) * (sightings.face == self.face)
-        azimuth, elevation = sightings.raw_readings[:, 1], sightings.raw_readings[:, 2]
+        azimuth, elevation = sightings.ideal_raw_readings[:, 1], sightings.ideal_raw_readings[:, 2]
         half_turn = np.where(azimuth > 0, -np.pi, np.pi)
         change = np.stack([np.zeros_like(azimuth), half_turn, np.pi - 2 * elevation], axis=1)
         confused: Floats = change * acts[:, None]

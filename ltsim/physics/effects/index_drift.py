@@ -27,10 +27,10 @@ class IndexDrift(MotionDrift):
     observables = ("elevation",)
     chain_error = "elevation"
     rate_parameter = Parameter("index-drift", "urad/h", "growth rate of the index error", 20 * SI_PER_UNIT["urad/h"])
-    amplitude_parameter = Parameter(
+    decay_amplitude_parameter = Parameter(
         "index-drift-amplitude", "urad", "index error at the start, which then decays", 20 * MICRORADIAN
     )
     parameters = (rate_parameter,)
 
-    candidate_linear_laws = ("linear", "visit")
+    candidate_laws_linear_in_time = ("linear", "visit")
     tries_single_stations = True

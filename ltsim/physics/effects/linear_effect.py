@@ -192,13 +192,13 @@ class LinearEffect(Protocol):
         """Indicator (n,) of n pointings: 1 for pointings whose readings the effect changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
-            acts &= _belongs_to_names(sightings.station, sightings.station_indices, self.stations)
+            acts &= _has_permitted_name(sightings.station, sightings.station_indices_by_name, self.stations)
         if self.targets:
-            acts &= _belongs_to_names(sightings.target, sightings.target_indices, self.targets)
+            acts &= _has_permitted_name(sightings.target, sightings.target_indices_by_name, self.targets)
         return acts.astype(np.float64)
 
 
-def _belongs_to_names(
+def _has_permitted_name(
     name_indices: Ints, indices_by_name: Mapping[str, Sequence[int]], permitted_names: Sequence[str]
 ) -> Bools:
     """Flags (n,) of the n station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
@@ -271,7 +271,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         and each reading must depend on at most one parameter.
         """
 
-    def size_grid(self) -> list[tuple[float, ...]]:
+    def candidate_parameter_values(self) -> list[tuple[float, ...]]:
         """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
         n_parameters = len(self.parameters)
         subsets = [*np.eye(n_parameters), *([np.ones(n_parameters)] if n_parameters > 1 else [])]

@@ -6,7 +6,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
@@ -15,7 +15,7 @@ AXIS_WEIGHTS_BY_EXPANSION_MODE = {"uniform": np.ones(3), "vertical": np.array([0
 
 
 @dataclass(frozen=True)
-class MeshExpansion(TargetMotion):
+class MeshExpansion(TargetDisplacementEffect):
     """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
     P(t) = P + a t A (P - centroid), with the target's coordinates P, the time t since the first pointing, and A = 1

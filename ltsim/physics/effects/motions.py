@@ -17,7 +17,9 @@ def exact_change_by_displacement(sightings: Sightings, displacement: Floats) -> 
 
     The displacement (n, 3) [m] is in the network frame.
     """
-    return reading_change_to_points(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
+    return reading_change_by_target_positions(
+        sightings, _sightings_with_displaced_targets(sightings, displacement).local_points
+    )
 
 
 def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
@@ -25,7 +27,7 @@ def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floa
 
     A motion is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    return reading_change_to_points(sightings, _apparent_sightings(sightings, motion).local_points)
+    return reading_change_by_target_positions(sightings, _apparent_sightings(sightings, motion).local_points)
 
 
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
@@ -60,7 +62,7 @@ def _linearised_change(
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
     return Linearisation(
-        reading_change_to_points(sightings, apparent_sightings.local_points),
+        reading_change_by_target_positions(sightings, apparent_sightings.local_points),
         displacement_derivatives,
         (by_target, by_pose),
     )
@@ -71,12 +73,12 @@ def station_motion_design(sightings: Sightings) -> Floats:
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
-def reading_change_to_points(sightings: Sightings, local_points: Floats) -> Floats:
+def reading_change_by_target_positions(sightings: Sightings, local_points: Floats) -> Floats:
     """Change (n, 3) of the readings of n pointings if their targets are at `local_points` (n, 3) [m].
 
     The points are in the frame of the instrument.
     """
-    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw_readings
+    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
     return change
 
@@ -101,12 +103,12 @@ class TargetDisplacement(LinearEffect):
 
 
 @dataclass(frozen=True)
-class TargetMotion(TargetDisplacement, Effect):
+class TargetDisplacementEffect(TargetDisplacement, Effect):
     """Base class of catalogue effects that move targets or change their apparent positions."""
 
 
 @dataclass(frozen=True)
-class StationMotion(Effect):
+class StationMotionEffect(Effect):
     """Base class of catalogue effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import LightPathStage, Parameter, axis_parameters
-from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.physics.effects.places import station_target_pairs
 from ltsim.scene.sightings import Sightings
 
@@ -19,7 +19,7 @@ of an adjustment detects them.
 
 
 @dataclass(frozen=True)
-class NestLift(TargetMotion):
+class NestLift(TargetDisplacementEffect):
     """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of a station.
 
     The displacement is D = h n with the lift h along the nest's normal n (kind `normal`), or in any direction (kind

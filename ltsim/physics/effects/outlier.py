@@ -14,7 +14,7 @@ Observable = Literal["distance", "azimuth", "elevation"]
 
 READING_COLUMN_BY_OBSERVABLE: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
 """Column of each observable in the array of readings."""
-MAX_SEARCHED_POINTINGS = 1500
+MAX_POINTINGS_FOR_SINGLE_OUTLIERS = 1500
 """Number of pointings above which a search has no candidates for single outliers; the w-test of an adjustment detects
 them."""
 
@@ -55,7 +55,7 @@ class Outlier(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Outliers that a diagnosis tries, one per reading; an empty list for a large recording."""
-        if len(sightings) > MAX_SEARCHED_POINTINGS:
+        if len(sightings) > MAX_POINTINGS_FOR_SINGLE_OUTLIERS:
             return []
         places = [
             ((sightings.station_names[s],), (sightings.target_names[t],))

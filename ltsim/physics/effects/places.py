@@ -30,7 +30,7 @@ def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: in
     return [float(t) for t in middles]
 
 
-def candidate_change_times_by_station(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
+def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
     """Candidate change points during the occupation of each station: pairs (station, time [s]).
 
     At least `min_pointings` pointings of the station are before and after each change point.
@@ -117,9 +117,9 @@ class MotionDrift(Effect):
     """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the laws of time that are linear (``visit`` and ``linear``): correction per time."""
-    amplitude_parameter: ClassVar[Parameter]
+    decay_amplitude_parameter: ClassVar[Parameter]
     """Parameter of the law ``exponential``: correction at the start."""
-    candidate_linear_laws: ClassVar[tuple[TimeLaw, ...]]
+    candidate_laws_linear_in_time: ClassVar[tuple[TimeLaw, ...]]
     """Linear laws of time that a search tries at all stations together: ``visit`` (time since the station's first
     pointing) or ``linear`` (time since the recording's first pointing). With one station only the first law is tried.
     """
@@ -128,7 +128,7 @@ class MotionDrift(Effect):
     pointing."""
 
     def __post_init__(self) -> None:
-        parameter = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
+        parameter = self.decay_amplitude_parameter if self.law == "exponential" else self.rate_parameter
         object.__setattr__(self, "parameters", (parameter,))
 
     @classmethod
@@ -143,7 +143,10 @@ class MotionDrift(Effect):
             t for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid_values().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span
         ] or [share * span for share in SHORT_RECORDING_TIME_CONSTANT_FRACTIONS]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
-        linear = [cls(law=law) for law in (cls.candidate_linear_laws if names else cls.candidate_linear_laws[:1])]
+        linear = [
+            cls(law=law)
+            for law in (cls.candidate_laws_linear_in_time if names else cls.candidate_laws_linear_in_time[:1])
+        ]
         single_station_drifts = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
         warm_ups = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
         return [*linear, *single_station_drifts, *warm_ups]

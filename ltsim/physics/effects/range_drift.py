@@ -25,7 +25,7 @@ class RangeDrift(MotionDrift):
     rate_parameter = Parameter(
         "range-drift", "um/h", "growth rate of the length by which every range is too short", 15 * SI_PER_UNIT["um/h"]
     )
-    amplitude_parameter = Parameter(
+    decay_amplitude_parameter = Parameter(
         "range-drift-amplitude",
         "um",
         "length by which ranges are too short at the start, which then decays",
@@ -33,4 +33,4 @@ class RangeDrift(MotionDrift):
     )
     parameters = (rate_parameter,)
 
-    candidate_linear_laws = ("linear", "visit")
+    candidate_laws_linear_in_time = ("linear", "visit")

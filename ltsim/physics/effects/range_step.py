@@ -4,7 +4,7 @@ from typing import Self
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
-from ltsim.physics.effects.places import candidate_change_times_by_station, neighbouring_gap_times
+from ltsim.physics.effects.places import candidate_station_change_times, neighbouring_gap_times
 from ltsim.scene.sightings import Sightings
 
 
@@ -43,7 +43,7 @@ class RangeStep(Effect):
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
         ]
-        candidate_change_times = candidate_change_times_by_station(sightings, min_pointings=2)
+        candidate_change_times = candidate_station_change_times(sightings, min_pointings=2)
         return [cls((name,), time=time) for name, time in [*starts, *candidate_change_times]]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.physics.effects.ciddor import refractive_index_sensitivity, refractivity
+from ltsim.physics.effects.ciddor import refractive_index_decrease_per_kelvin, refractivity
 from ltsim.physics.effects.effect import Effect, design_from_front_face_corrections
-from ltsim.physics.effects.motions import reading_change_to_points
+from ltsim.physics.effects.motions import reading_change_by_target_positions
 from ltsim.scene.sightings import Sightings
 
 TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
@@ -49,7 +49,7 @@ def _refractivity_polynomials() -> tuple[Polynomial, Polynomial]:
 def relative_index_decrease_per_kelvin() -> float:
     """Relative decrease beta / n [1/K] of the refractive index per kelvin, at the weather sensor."""
     law, _ = _refractivity_polynomials()
-    return refractive_index_sensitivity(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
+    return refractive_index_decrease_per_kelvin(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
 
 
 def first_order_reading_change(
@@ -102,7 +102,7 @@ def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, 
     excess = (optical + at_target * along - law(0.0) * (ray_lengths + along)) / (1.0 + law(0.0))
     local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
     apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (ray_lengths + along + excess)[:, None]
-    return reading_change_to_points(sightings, apparent)
+    return reading_change_by_target_positions(sightings, apparent)
 
 
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:

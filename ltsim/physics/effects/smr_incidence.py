@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 
 INCIDENCE_TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
 """Incidence angles [rad] of a table of range errors of a reflector, as in fig. 9 of Sensors 2021, 21, 7479."""
-MAX_INCIDENCE = 30.0 * DEGREE
+MAX_TABULATED_INCIDENCE = 30.0 * DEGREE
 """Largest incidence angle [rad] in a table of range errors."""
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range errors (reading - true range) [m] at `INCIDENCE_TABLE_ANGLES`, with the size and asymmetry of fig. 9 of Sensors
@@ -62,7 +62,9 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
 
 def _ramp_values(incidence: Floats) -> Floats:
     """Values (n, 4) of four ramps at n incidence angles (n,) [rad]: 0 up to the ramp's knot angle, 1 from 30 deg on."""
-    return np.clip((incidence[:, None] - INCIDENCE_KNOT_ANGLES) / (MAX_INCIDENCE - INCIDENCE_KNOT_ANGLES), 0.0, 1.0)
+    return np.clip(
+        (incidence[:, None] - INCIDENCE_KNOT_ANGLES) / (MAX_TABULATED_INCIDENCE - INCIDENCE_KNOT_ANGLES), 0.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ class SmrIncidence(Effect):
         """
         ramps, cubed = (
             _ramp_values(incidence),
-            (np.sin(np.minimum(incidence, MAX_INCIDENCE)) / np.sin(MAX_INCIDENCE)) ** 3,
+            (np.sin(np.minimum(incidence, MAX_TABULATED_INCIDENCE)) / np.sin(MAX_TABULATED_INCIDENCE)) ** 3,
         )
         once = np.exp(1j * direction[:, None])
         thrice = cubed[:, None] * once**3
@@ -142,7 +144,7 @@ class SmrIncidence(Effect):
         middle_index = len(INCIDENCE_TABLE_ANGLES) // 2
         upper = np.array(self.table[middle_index + 1 :]) - self.table[middle_index]
         lower = np.array(self.table[:middle_index][::-1]) - self.table[middle_index]
-        at_knots = _ramp_values(np.append(INCIDENCE_KNOT_ANGLES[1:], MAX_INCIDENCE))
+        at_knots = _ramp_values(np.append(INCIDENCE_KNOT_ANGLES[1:], MAX_TABULATED_INCIDENCE))
         even, odd = np.linalg.solve(at_knots, 0.5 * np.stack([upper + lower, upper - lower], axis=1)).T
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)
         return -np.concatenate([even, *odds, np.zeros(2)])

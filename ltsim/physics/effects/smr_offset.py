@@ -5,11 +5,11 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.scene.sightings import Sightings
 
 
-class SmrOffset(TargetMotion):
+class SmrOffset(TargetDisplacementEffect):
     """Other reflector or adaptor: one station used an SMR of another radius with the previous constant.
 
     The displacement of the sphere's centre is D = (R_true - R_used) n along the nest's normal n. The parameter is this

@@ -6,13 +6,13 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
-from ltsim.physics.effects.motions import StationMotion
-from ltsim.physics.effects.places import candidate_change_times_by_station, neighbouring_gap_times
+from ltsim.physics.effects.motions import StationMotionEffect
+from ltsim.physics.effects.places import candidate_station_change_times, neighbouring_gap_times
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class StationBump(StationMotion):
+class StationBump(StationMotionEffect):
     """Station bumped: the tripod was touched, and the station has another pose from then on.
 
     pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step function H and the time t_b of the bump. The
@@ -43,7 +43,7 @@ class StationBump(StationMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Bumps that a diagnosis tries: between pointings of a station, with at least three before and after."""
-        return [cls((name,), time=time) for name, time in candidate_change_times_by_station(sightings, min_pointings=3)]
+        return [cls((name,), time=time) for name, time in candidate_station_change_times(sightings, min_pointings=3)]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this bump in the neighbouring gaps between pointings, for a local search."""

@@ -5,11 +5,11 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.scene.sightings import Sightings
 
 
-class StationLevelling(StationMotion):
+class StationLevelling(StationMotionEffect):
     """Levelling error: the level is wrong, so that the axis of a levelled station is inclined.
 
     w = R_i (b_x, b_y, 0), with the rotation w of the instrument in the network frame and the rotation R_i of station i.

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter
-from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.scene.sightings import Sightings
 
 SETTLING_COMPONENTS = [3, 4, 2]
@@ -14,7 +14,7 @@ translation along z."""
 
 
 @dataclass(frozen=True)
-class StationSettling(StationMotion):
+class StationSettling(StationMotionEffect):
     """Settling of a station: tripod, stand or floor yield after the set-up, or the stand warms up.
 
     pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), with the time t_i since the station's first pointing and the

@@ -6,7 +6,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
-from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, times_between_visits
 from ltsim.scene.sightings import Sightings
 
@@ -19,7 +19,7 @@ PLAUSIBLE_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 
 
 @dataclass(frozen=True)
-class TargetMoved(TargetMotion):
+class TargetMoved(TargetDisplacementEffect):
     """Moved target: a nest was displaced suddenly, or its support creeps.
 
     step: P(t) = P + H(t - t_m) D, with the target's coordinates P, the unit step function H, the time t_m of the step

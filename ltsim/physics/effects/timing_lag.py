@@ -5,12 +5,12 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 
-def reading_rates(sightings: Sightings) -> Floats:
+def mean_reading_rates(sightings: Sightings) -> Floats:
     """Mean rate (n, 3) [m/s, rad/s] of the readings of n pointings since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
     lapse = sightings.time - sightings.time[sightings.previous_pointing_indices]
     going = (sightings.previous_pointing_indices >= 0) & (lapse > 0)
-    rate[going] = sightings.reading_changes[going] / lapse[going, None]
+    rate[going] = sightings.reading_changes_since_previous_pointing[going] / lapse[going, None]
     return rate
 
 
@@ -41,5 +41,5 @@ class TimingLag(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        late = reading_rates(sightings) * self.pointing_indicator(sightings)[:, None]
+        late = mean_reading_rates(sightings) * self.pointing_indicator(sightings)[:, None]
         return -late[:, :, None] * np.eye(3)

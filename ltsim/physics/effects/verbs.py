@@ -24,7 +24,7 @@ class SizedEffect:
     """Effect with the values of its parameters, as it is simulated or injected."""
 
     effect: AnyEffect
-    parameter_values: Mapping[str, float]
+    display_values: Mapping[str, float]
     """Values of the effect's parameters by name, in display units."""
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.scene.sightings import Sightings
 
 GLASS_REFRACTIVE_INDEX = 1.5
@@ -27,7 +27,7 @@ def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Window(TargetMotion):
+class Window(TargetDisplacementEffect):
     """Window in the path: a pane of glass is between a station and some of its targets.
 
     With the thickness w, the index n and the angle of incidence i at the pane, the range is too long by w (sqrt(n^2 -

@@ -66,4 +66,6 @@ class WrongUnit(Blunder):
         )
 
     def design(self, sightings: Sightings) -> Floats:
-        return (self.recorded_readings(sightings, sightings.raw_readings) - sightings.raw_readings)[:, :, None]
+        return (self.recorded_readings(sightings, sightings.ideal_raw_readings) - sightings.ideal_raw_readings)[
+            :, :, None
+        ]

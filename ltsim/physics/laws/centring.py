@@ -11,7 +11,7 @@ from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.centring_errors import CentringUncertainty, OccupationGrouping
 from ltsim.scene.sightings import Sightings
 
-OCCUPATION_TEXTS: dict[OccupationGrouping, str] = {
+RECENTRING_PHRASE_BY_OCCUPATION_GROUPING: dict[OccupationGrouping, str] = {
     "station": "for each set-up",
     "instrument_setup": "for each occupation by an instrument",
     "target_setup": "at each occupation",
@@ -40,7 +40,7 @@ class CentringVariance(VarianceFunction):
     adjustment estimates the displacements. Their prior standard deviation is the parameter of the hypothesis.
     """
 
-    occupation: OccupationGrouping = "station"
+    occupation_grouping: OccupationGrouping = "station"
     """Kind of occupation: the pointings between two placements of the reflector."""
 
     @property
@@ -56,11 +56,11 @@ class CentringVariance(VarianceFunction):
     @property
     def text(self) -> str:
         """Description of the centring errors, for users."""
-        return f"reflectors that are centred anew {OCCUPATION_TEXTS[self.occupation]}"
+        return f"reflectors that are centred anew {RECENTRING_PHRASE_BY_OCCUPATION_GROUPING[self.occupation_grouping]}"
 
     def sentence(self, sigma_text: str) -> str:
         """Sentence for users on the centring errors; `sigma_text` is the standard deviation of a displacement."""
-        if self.occupation == "station":
+        if self.occupation_grouping == "station":
             return shared_errors_sentence(sigma_text)
         return f"Centring errors: {self.text}, with a standard deviation of {sigma_text} along each axis."
 
@@ -68,6 +68,6 @@ class CentringVariance(VarianceFunction):
         """Variance (n, 3) of the three readings of n pointings: the declared variance, without the displacements."""
         return sigma**2
 
-    def uncertainty(self, sigma: float) -> CentringUncertainty:
+    def as_declared_uncertainty(self, sigma: float) -> CentringUncertainty:
         """Centring errors with a standard deviation `sigma` [m], in the form in which `setup.toml` declares them."""
-        return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation)
+        return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation_grouping)

@@ -27,14 +27,18 @@ scales, the prior standard deviation of the last coefficient is a tenth to a thi
 N_MODES_IN_PRODUCT = 4
 """Number of eigenfunctions (of the Laplacian) that represent a smooth curve as a factor of a product, or in a law of a
 single target."""
-N_MODES_FINE = 32
+N_MODES_OF_FINER_CURVE = 32
 """Number of eigenfunctions (of the Laplacian) that represent a finer curve, which a search tries in place of the smooth
 curve of the selected law."""
-BASIS_WIDTH_RATIO = 1.25
+EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the width of the
 covariate's range. It is larger than 1 because a curve is not necessarily zero at the ends of the range.
 """
-LENGTH_SCALES_BY_N_MODES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_IN_PRODUCT: (0.6,), N_MODES_FINE: (0.07,)}
+LENGTH_SCALES_BY_N_MODES = {
+    N_MODES_DEFAULT: (0.9, 0.4, 0.18),
+    N_MODES_IN_PRODUCT: (0.6,),
+    N_MODES_OF_FINER_CURVE: (0.07,),
+}
 """Length scales of a smooth curve (of the kernel of its Gaussian process) by number of eigenfunctions, as fractions of
 half the covariate's range. For an angle on a full circle they are in radians."""
 MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
@@ -108,9 +112,9 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
     low, high = float(covariate.min()), float(covariate.max())
     half_range = max(0.5 * (high - low), 1e-300)
     u = (covariate - 0.5 * (low + high)) / half_range
-    waves = _unit_phasors(0.5 * np.pi * (u + BASIS_WIDTH_RATIO) / BASIS_WIDTH_RATIO, n_modes).imag / np.sqrt(
-        BASIS_WIDTH_RATIO
-    )
+    waves = _unit_phasors(
+        0.5 * np.pi * (u + EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO) / EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO, n_modes
+    ).imag / np.sqrt(EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO)
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
 
@@ -126,7 +130,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
         orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
         spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]]
     else:
-        rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / BASIS_WIDTH_RATIO
+        rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO
         spreads = [
             np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]
         ]
@@ -166,17 +170,17 @@ def play_operator(input_values: Floats, half_width: float) -> Floats:
     return output
 
 
-def linear_field_columns(
-    sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
+def polynomial_field_columns(
+    sightings: Sightings, names: Sequence[str], origin_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns (n, 4) for n pointings of a quantity that varies linearly across the hall.
+    """Columns (n, 4) or (n, 10) for n pointings of a linear or quadratic polynomial of the position in the hall.
 
-    The columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
-    coordinates follow, and the shape is (n, 10). The coordinates are the covariates `names` minus their mean over the
-    pointings to `centre_targets`, or to all targets if this is empty.
+    The four columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
+    coordinates follow. The coordinates are the covariates `names` minus their mean over the pointings to
+    `origin_targets`, or to all targets if this is empty.
     """
     place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
-    ids = [i for name in centre_targets for i in sightings.target_indices[name]]
+    ids = [i for name in origin_targets for i in sightings.target_indices_by_name[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
     place = place - place[near].mean(axis=0)
     place = place / max(float(place[near].std()), 1e-300)

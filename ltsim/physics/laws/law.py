@@ -14,12 +14,12 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FINE, N_MODES_IN_PRODUCT, indicator_columns
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT, N_MODES_OF_FINER_CURVE, indicator_columns
 from ltsim.physics.laws.formula_regressors import formula_regressors
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
     LAG_TIME_CONSTANTS,
-    MAX_SEPARATE_PARTS,
+    MAX_SEPARATE_VALUES,
     WAVE_FREQUENCY_STEP,
     contains_several_targets,
 )
@@ -43,22 +43,22 @@ vertical index.
 """
 MAX_STEP_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
-PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
-"""Kinds of responses (`Response.kind`) for which a law may have separate coefficients in each set-up."""
-MAX_SWITCH_EDGES = 60
+PER_SETUP_CHANGED_PARTS = ("reading", "instrument", "circle", "stand")
+"""Parts of the measurement (`Response.changed_part`) for which a law may have separate coefficients in each set-up."""
+MAX_SWITCH_EDGE_POSITIONS = 60
 """Largest number of values of a covariate at which a search lets a law turn on or off (switch)."""
-MAX_MOVED_STEPS = 4
+MAX_STEPS_IN_MOVED_LAW = 4
 """Largest number of steps and ramps in a law that a local search moves; a law with more of them is not moved."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
 smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
-MAGNITUDE_REFINED_FUNCTIONS = (
+FUNCTIONS_WITH_SCALED_CONSTANT = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
 """Names of functions and of kinds of regressors with a positive constant, which a local search multiplies by 0.6 to
 1.7."""
-LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
+LATCH_THRESHOLD_SHIFT_FRACTIONS = np.array([-0.06, -0.02, 0.02, 0.06])
 """Changes of thresholds of a latch (`latch_regressor`) in a local search, as fractions of the covariate's span."""
 
 
@@ -92,14 +92,12 @@ class EmpiricalLaw(CandidateEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficients with priors, one per component of the response and column of the regressor (and set-up)."""
         spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
-        spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.n_components)
-        return tuple(
-            Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
-            for i, s in enumerate(spreads)
-        )
+        n, unit = self.n_setup_components, self.response.display_unit
+        spreads = spread * np.sqrt(n) if self.direction else np.tile(spread, n)
+        return tuple(Parameter(f"coefficient {i}", unit, "coefficient", float(s)) for i, s in enumerate(spreads, 1))
 
     @property
-    def n_components(self) -> int:
+    def n_setup_components(self) -> int:
         """Number of components of the response, times the number of set-ups if they have separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.has_coefficients_per_setup else 1)
 
@@ -111,16 +109,16 @@ class EmpiricalLaw(CandidateEffect):
     @property
     def covariates(self) -> tuple[str, ...]:
         """Names in files of the covariates on which the law depends."""
-        return self.regressor.covariate_labels
+        return self.regressor.covariate_names_in_files
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the three raw readings of n pointings per unit of each of k coefficients."""
         _, response_design = RESPONSE_AND_DESIGN_BY_NAME[self.response.name]
-        derivatives = self.change_along_direction(response_design(sightings), sightings)
+        derivatives = self.change_by_shared_coefficient(response_design(sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
-    def change_along_direction(
+    def change_by_shared_coefficient(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
         """Change (r, ..., 1) of the readings of r pointings per unit of the coefficient that all components share.
@@ -146,7 +144,7 @@ class EmpiricalLaw(CandidateEffect):
 
         If S set-ups have separate coefficients and no `direction`, each has k columns, and the shape is (n, S k).
         """
-        columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
+        columns = self.regressor.columns(sightings, acts_on_targets=self.response.changed_part == "target")
         columns = columns * self.pointing_indicator(sightings)[:, None]
         if not self.has_coefficients_per_setup or self.direction:
             return columns
@@ -155,11 +153,11 @@ class EmpiricalLaw(CandidateEffect):
         return (is_at_setup[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
-    def depends_on_fixed_region(self) -> bool:
+    def depends_on_permanent_region(self) -> bool:
         """True if the law depends on a region of the hall during the whole measurement."""
         return self.regressor.region is not None
 
-    def without_switch(self) -> EmpiricalLaw:
+    def without_time_limit(self) -> EmpiricalLaw:
         """Law of a region of the hall without the switch or step in time that limits it; otherwise the law itself."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
@@ -197,7 +195,7 @@ class EmpiricalLaw(CandidateEffect):
                 r for r in regressor.hall_region.neighbours() if not is_near or contains_several_targets(r, sightings)
             ]
             return [replace(self, regressor=regressor.with_region(region)) for region in neighbours]
-        if regressor.function in MAGNITUDE_REFINED_FUNCTIONS or regressor.kind in MAGNITUDE_REFINED_FUNCTIONS:
+        if regressor.function in FUNCTIONS_WITH_SCALED_CONSTANT or regressor.kind in FUNCTIONS_WITH_SCALED_CONSTANT:
             sizes = [regressor.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
             return [replace(self, regressor=replace(regressor, constant=size)) for size in sizes]
         if regressor.kind == "latch":
@@ -209,7 +207,7 @@ class EmpiricalLaw(CandidateEffect):
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Copies of the law in which one of the two thresholds of its latch is moved."""
         regressor = self.regressor
-        steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
+        steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_SHIFT_FRACTIONS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
         neighbours += [replace(regressor, release_threshold=regressor.release_threshold + float(s)) for s in steps]
         return [replace(self, regressor=d) for d in neighbours if d.release_threshold < d.constant]
@@ -218,7 +216,7 @@ class EmpiricalLaw(CandidateEffect):
     def _movable_regressor(self) -> Regressor | None:
         """Regressor of steps, ramps or a switch that a local search moves; None without one, or with a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
-        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_MOVED_STEPS]
+        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_STEPS_IN_MOVED_LAW]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
@@ -260,16 +258,16 @@ class EmpiricalLaw(CandidateEffect):
         products = [Regressor("product", factors=factors) for factors in product(*options)]
         return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
-    def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
+    def candidate_forms_by_kind(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
         """Alternative forms of the law by kind, `curve` or `formula`.
 
         Each form is a list of laws that differ only in the length scale.
         """
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
-            n_modes = N_MODES_FINE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
+            n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
-        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_PARTS and self.response.kind == "target":
+        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_VALUES and self.response.changed_part == "target":
             per_target = regressor.with_amount_per_target(self.targets)
             forms["members"] = [replace(self, regressor=per_target, length_scale_index=0)]
         if regressor.kind == "wave":
@@ -309,14 +307,14 @@ class EmpiricalLaw(CandidateEffect):
     def candidate_switch_steps(self, sightings: Sightings) -> list[Regressor]:
         """Single steps at which a switch may turn on or off: of the covariate, or of time for a law of a region."""
         curve = self.switchable_factor
-        if curve is None and not self.depends_on_fixed_region:
+        if curve is None and not self.depends_on_permanent_region:
             return []
         name = curve.covariates[0] if curve else "time"
         x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGE_POSITIONS).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
-    def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
+    def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a sum of steps, each with a separate coefficient, as the regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 
@@ -326,7 +324,7 @@ class EmpiricalLaw(CandidateEffect):
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
         """Regressor in which steps or a switch replace the curve or wave, or multiply the path through a region."""
-        if self.depends_on_fixed_region:
+        if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
         return Regressor("product", factors=(gate_regressor, *others)) if others else gate_regressor
@@ -354,13 +352,13 @@ class EmpiricalLaw(CandidateEffect):
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
-            self.regressor.kind in ("product", "amounts") or self.response.kind not in PER_SETUP_RESPONSE_KINDS
+            self.regressor.kind in ("product", "amounts") or self.response.changed_part not in PER_SETUP_CHANGED_PARTS
         )
-        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_PARTS:
+        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_VALUES:
             return None
         return replace(self, stations=stations, has_coefficients_per_setup=True)
 
-    def law_at_largest_effect(
+    def law_at_setup_of_largest_effect(
         self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
         """Law restricted to the set-up where its effect is largest, with the direction of its largest change there.

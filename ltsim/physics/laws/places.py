@@ -35,7 +35,7 @@ class LawPlace:
     """Names of the instruments; empty for all."""
 
 
-def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
+def names_and_rows(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
     """Pairs of a name and the row indices of the pointings with this name, for each name with pointings.
 
     `group_indices` (n,) is the index in `names` of each of n pointings.
@@ -53,7 +53,7 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
     """Places of laws, one per instrument in `names`, with all its set-ups; empty for a single instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
-        for name, rows in rows_by_name(names, sightings.instrument)
+        for name, rows in names_and_rows(names, sightings.instrument)
     )
     return places if len(places) > 1 else ()
 
@@ -89,7 +89,9 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
-def connected_groups(sightings: Sightings, length_end_names: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
+def groups_connected_by_lengths(
+    sightings: Sightings, length_end_names: Iterable[tuple[str, str]]
+) -> set[tuple[int, ...]]:
     """Groups of targets that are connected by known lengths, such as the targets of a gauge, as tuples of indices.
 
     `length_end_names` are the pairs of names of the targets at the ends of the known lengths.

@@ -18,13 +18,13 @@ from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
-    LEVER_FUNCTION,
+    DEFLECTION_FUNCTION,
     Regressor,
     group_amounts_regressor,
     latch_regressor,
     name_without_memory_prefix,
     nearness_regressor,
-    passage_regressor,
+    path_length_regressor,
     piecewise_regressor,
     scalar_regressor,
     smooth_regressor,
@@ -44,7 +44,7 @@ from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
 """Names of the three raw readings as covariates."""
-BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
+MEMORYLESS_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
 """Covariates that do not depend on earlier pointings."""
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 """Covariates that are readings of a circle, which differ between the faces."""
@@ -55,27 +55,27 @@ _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", 
 """
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
-OPERATOR_PREFIXES = ("last", "move", "work")
+MEMORY_OPERATOR_PREFIXES = ("last", "move", "work")
 """Prefixes of covariates: value at the previous pointing, change since then, sum of all absolute changes."""
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
     "count",
-    *(f"{how}-{name}" for how in OPERATOR_PREFIXES for name in RAW_READING_NAMES),
+    *(f"{how}-{name}" for how in MEMORY_OPERATOR_PREFIXES for name in RAW_READING_NAMES),
 )
 """Covariates that depend on preceding pointings."""
-READING_COVARIATES = tuple(
+BUILTIN_COVARIATES = tuple(
     dict.fromkeys(
-        (*BASE_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
+        (*MEMORYLESS_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
     )
 )
-"""Covariates of readings, in addition to columns of the recording."""
+"""All covariates that are derived from the pointings; columns of the recording are further covariates."""
 _HEAD_COVARIATES = (
     *("azimuth", "elevation", *_CIRCLE_COVARIATES, *_SIGN_COVARIATES),
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
 """Covariates that are angles or motions of the tracker head."""
-COVARIATES_BY_RESPONSE_KIND: dict[str, tuple[str, ...]] = {
+COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "instrument": (
         *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
         *("move-distance", "last-distance", "work-distance"),
@@ -89,9 +89,9 @@ COVARIATES_BY_RESPONSE_KIND: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates on which a response can depend, by `Response.kind`, in addition to columns of the recording. The position
-of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head is not
-balanced exactly and the floor yields under the operator."""
+"""Covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the recording. The
+position of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head
+is not balanced exactly and the floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS = 2.5
 """Effective number of targets in a region of the hall, above which a law of the targets in it is tried. With fewer
 targets, the error is one of a single target."""
@@ -107,11 +107,11 @@ DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
-MAX_SEPARATE_PARTS = 12
+MAX_SEPARATE_VALUES = 12
 """Largest number of groups (set-ups, instruments, targets) for which a search tries a law with a separate value for
 each group, because more coefficients fit any errors. It is also the largest number of times at which a search tries a
 step, and the smallest number of distinct times in a recording that a search divides into parts."""
-MAX_SEPARATE_TARGETS = 60
+MAX_SEPARATE_TARGET_VALUES = 60
 """Largest number of targets for which a search tries a law with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
 """Spacing of the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a frequency
@@ -148,7 +148,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
 """Exponent of `ODDS_PER_OPERATOR` by kind of regressor: number of operators plus number of factors after the first."""
 
 
-def additional_column_names(sightings: Sightings) -> list[str]:
+def varying_column_names(sightings: Sightings) -> list[str]:
     """Names of the additional columns of the recording whose values vary."""
     covariates = sightings.covariates.items()
     return [name for name, values in covariates if np.isfinite(values).any() and np.nanstd(values) > 0]
@@ -164,28 +164,28 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     return [n for n in asked if np.ptp(sightings.covariate_values[n]) > floor[n]]
 
 
-def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response of this kind (`Response.kind`) can depend on a regressor; a `reading` can depend on all."""
+def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
+    """True if a response with this `Response.changed_part` can depend on a regressor; a `reading` can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
-    return response_kind == "reading" or all(
-        n in COVARIATES_BY_RESPONSE_KIND[response_kind] or name_without_memory_prefix(n) in sightings.covariates
+    return changed_part == "reading" or all(
+        n in COVARIATES_BY_CHANGED_PART[changed_part] or name_without_memory_prefix(n) in sightings.covariates
         for n in names
     )
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
     """Regressors that a search tries, by kind; a smooth curve has `n_modes` basis functions."""
-    s, columns = sightings, additional_column_names(sightings)
-    base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
-    remembered = [f"{prefix}-{name}" for prefix in OPERATOR_PREFIXES for name in columns]
+    s, columns = sightings, varying_column_names(sightings)
+    base = _varying_covariates(s, (*MEMORYLESS_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
+    remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *remembered))
     turning = [n for n in base if n not in CLOCK_COVARIATES]  # time never decreases
-    signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _seating_parity_differs(s)]
+    signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _parities_differ(s)]
     return {
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in signs],
         "curve": [smooth_regressor(name, n_modes) for name in base],
-        "clock": single_target_regressors(s),
+        "clock": regressors_for_single_targets(s),
         "decay": [
             scalar_regressor(n, "decay", float(t))
             for n in CLOCK_COVARIATES
@@ -201,7 +201,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
-            *with_position_dependence(single_target_regressors(s), 2),
+            *with_position_dependence(regressors_for_single_targets(s), 2),
         ],
         "shape": [
             *(
@@ -211,10 +211,10 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             ),
             *dead_band_regressors(s),
         ],
-        "passage": [passage_regressor(region) for region in candidate_regions(s)],
-        "lever": [passage_regressor(region, LEVER_FUNCTION) for region in candidate_regions(s)],
+        "passage": [path_length_regressor(region) for region in candidate_regions(s)],
+        "lever": [path_length_regressor(region, DEFLECTION_FUNCTION) for region in candidate_regions(s)],
         "passage for a time": list(temporary_region_regressors(s)),
-        "lever for a time": list(temporary_region_regressors(s, LEVER_FUNCTION)),
+        "lever for a time": list(temporary_region_regressors(s, DEFLECTION_FUNCTION)),
         "near": [
             nearness_regressor(region)
             for region in candidate_regions(s, NEARNESS_REGION_SHAPES)
@@ -246,9 +246,9 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions that act during one part of the measurement; `function` is empty or `LEVER_FUNCTION`."""
+    """Regressors of regions that act in one part of the measurement; `function` is empty or `DEFLECTION_FUNCTION`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
-    if len(time) < MAX_SEPARATE_PARTS or not regions:
+    if len(time) < MAX_SEPARATE_VALUES or not regions:
         return
     passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
     for parts in TIME_PART_COUNTS:
@@ -258,23 +258,23 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
             gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
             for i in np.flatnonzero(is_passed_by_enough_sights(passing & during, sightings)):
-                yield Regressor("product", factors=(passage_regressor(regions[i], function), gate))
+                yield Regressor("product", factors=(path_length_regressor(regions[i], function), gate))
 
 
-def single_target_regressors(sightings: Sightings) -> list[Regressor]:
+def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
     """Regressors for laws of single targets: functions of time, or of additional columns of the recording."""
-    names = _varying_covariates(sightings, ("time", *additional_column_names(sightings)))
+    names = _varying_covariates(sightings, ("time", *varying_column_names(sightings)))
     straight = [scalar_regressor(name, "power") for name in names]
     return [
         *straight,
         *(smooth_regressor(name, N_MODES_IN_PRODUCT) for name in names),
-        *lag_regressors(sightings, additional_column_names(sightings)),
+        *lag_regressors(sightings, varying_column_names(sightings)),
     ]
 
 
-def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
+def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` (one per set-up)."""
-    local, steps = single_target_regressors(sightings), _step_regressors(sightings)
+    local, steps = regressors_for_single_targets(sightings), _time_step_regressors(sightings)
     each = per_setup_regressors(sightings, 2)
     return {
         "constant": [CONSTANT_REGRESSOR],
@@ -290,19 +290,19 @@ def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     }
 
 
-def _step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are a step in time, at `MAX_SEPARATE_PARTS` times spread evenly over the pointings."""
+def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
+    """Regressors that are a step in time, at `MAX_SEPARATE_VALUES` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
-    if len(clock) < MAX_SEPARATE_PARTS:
+    if len(clock) < MAX_SEPARATE_VALUES:
         return []
-    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
+    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_VALUES + 2).round().astype(int)[1:-1]
     return [
         piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))])
         for i in step_indices
     ]
 
 
-def _seating_parity_differs(sightings: Sightings) -> bool:
+def _parities_differ(sightings: Sightings) -> bool:
     """True if a sign that alternates at changes of the target differs from a sign that alternates at each pointing."""
     parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
@@ -311,16 +311,16 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
     """List with one regressor, which has a separate value for each set-up.
 
-    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
+    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_VALUES`.
     """
     n_stations = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_PARTS else []
+    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_VALUES else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     """List with one regressor, which has a separate value for each previous target; empty for too many targets."""
     n_targets = len(sightings.target_names)
-    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGETS else []
+    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_VALUES else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
@@ -336,11 +336,10 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
     """Iterator over products of two regressors, such as two curves, or the sign of the face and a curve."""
-    names = _varying_covariates(
-        sightings, (*BASE_COVARIATES[:7], *additional_column_names(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
-    )
+    extra = varying_column_names(sightings)
+    names = _varying_covariates(sightings, (*MEMORYLESS_COVARIATES[:7], *extra, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MAX_SEPARATE_PARTS:
+    if 1 < trackers <= MAX_SEPARATE_VALUES:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
             Regressor("product", factors=(smooth_regressor(name, N_MODES_IN_PRODUCT), by_instrument)) for name in names

@@ -24,7 +24,7 @@ from ltsim.physics.laws.columns import (
     has_natural_zero,
     indicator_columns,
     lagged_values,
-    linear_field_columns,
+    polynomial_field_columns,
     scaled_to_unit_rms,
     smooth_curve_columns,
     smooth_curve_sigmas,
@@ -54,7 +54,7 @@ COVARIATE_NAMES_IN_FILES = {
 """Names of covariates in files, by their names in this package, if both names differ."""
 
 
-OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
+MEMORY_OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
 """Covariates, such as the azimuth, whose value at the previous pointing, or change since then, is a covariate too."""
 
 
@@ -70,7 +70,10 @@ def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
         name
         for name in covariates
         if name == "lapse"
-        or (name_without_memory_prefix(name) != name and name_without_memory_prefix(name) in OPERATOR_INPUT_COVARIATES)
+        or (
+            name_without_memory_prefix(name) != name
+            and name_without_memory_prefix(name) in MEMORY_OPERATOR_INPUT_COVARIATES
+        )
     }
     return tuple(
         dict.fromkeys(
@@ -119,7 +122,7 @@ class Regressor:
     """
     factors: tuple[Regressor, ...] = ()
     """Regressors that the function combines: factors of a product, steps and ramps, or the steps of a switch."""
-    centre_targets: tuple[str, ...] = ()
+    field_or_amount_targets: tuple[str, ...] = ()
     """Names of the targets whose mean position is the origin of a field, or that have separate amounts; empty for
     all."""
     region: HallRegion | None = None
@@ -138,10 +141,10 @@ class Regressor:
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
             return columns
-        columns = columns - columns[self._is_at_reference(sightings)].mean(axis=0)
+        columns = columns - columns[self._is_in_reference_state(sightings)].mean(axis=0)
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
-    def _is_at_reference(self, sightings: Sightings) -> Bools:
+    def _is_in_reference_state(self, sightings: Sightings) -> Bools:
         """Flags (n,) of those of n pointings at which moving targets are in their reference state (see `columns`)."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
@@ -163,8 +166,8 @@ class Regressor:
             case "wave" | "cycle":
                 return fourier_columns(self.constant * sightings.covariate_values[name], self.n_columns // 2)
             case "field":
-                return linear_field_columns(
-                    sightings, self.covariates, self.centre_targets, is_quadratic=self.constant > 1
+                return polynomial_field_columns(
+                    sightings, self.covariates, self.field_or_amount_targets, is_quadratic=self.constant > 1
                 )
             case "simple":
                 return function_column(sightings, name, self.function, self.constant)
@@ -193,13 +196,13 @@ class Regressor:
         """Values (n,), at n pointings, of a regressor that depends on a `region` of the hall, by its kind.
 
         The values are the length [m] of each line of sight in the region, this length weighted by the lever of a
-        deflection (`LEVER_FUNCTION`), or the weight of the region at the target.
+        deflection (`DEFLECTION_FUNCTION`), or the weight of the region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
         return (
             region.lever_weighted_path_lengths(sightings)
-            if self.function == LEVER_FUNCTION
+            if self.function == DEFLECTION_FUNCTION
             else region.path_lengths(sightings)
         )
 
@@ -217,7 +220,7 @@ class Regressor:
             return np.where(
                 sightings.previous_pointing_indices >= 0, sightings.target[sightings.previous_pointing_indices], -1
             ), all_targets
-        ids = [sightings.target_names.index(name) for name in self.centre_targets]
+        ids = [sightings.target_names.index(name) for name in self.field_or_amount_targets]
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
@@ -280,7 +283,7 @@ class Regressor:
         """Copy of the regressor with the mean position of `targets` as the origin of its factor of the kind `field`."""
         if all(f.kind != "field" for f in self.factors):
             return self
-        factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
+        factors = tuple(replace(f, field_or_amount_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
@@ -295,7 +298,7 @@ class Regressor:
         return len(self.coefficient_sigmas[0])
 
     @property
-    def covariate_labels(self) -> tuple[str, ...]:
+    def covariate_names_in_files(self) -> tuple[str, ...]:
         """Names in files of the covariates on which the regressor depends."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return covariate_names_in_files(names)
@@ -321,16 +324,16 @@ def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Re
     return Regressor("simple", (covariate,), function, constant)
 
 
-LEVER_FUNCTION = "lever"
+DEFLECTION_FUNCTION = "lever"
 """Name of the function of a `passage` regressor for a region that deflects the lines of sight through it. A deflection
 at a point moves the end of the line in proportion to the length beyond the point. The measured direction thus changes
 by the deflection times the fraction of the line beyond the point."""
 
 
-def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
+def path_length_regressor(region: HallRegion, function: str = "") -> Regressor:
     """Regressor with the length of the line of sight in a region of the hall.
 
-    With the function `LEVER_FUNCTION` each part of this length is weighted by the fraction of the line beyond it.
+    With the function `DEFLECTION_FUNCTION` each part of this length is weighted by the fraction of the line beyond it.
     """
     return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 
@@ -359,7 +362,7 @@ def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, 
     `group_kind` is `station`, `instrument`, `target` or `last-target`, the target of the previous pointing. If
     `targets` is given, only these targets have a value.
     """
-    return Regressor("amounts", (group_kind,), constant=n_groups, centre_targets=targets)
+    return Regressor("amounts", (group_kind,), constant=n_groups, field_or_amount_targets=targets)
 
 
 def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import ChainErrorTerm
@@ -47,20 +47,20 @@ class Response:
     """Plausible size [SI] of a change of the quantity, the prior standard deviation of its coefficients."""
     observables: tuple[str, ...] = ()
     """Observables that the quantity mainly changes; empty if they depend on the positions of stations and targets."""
-    kind: str = "instrument"
+    changed_part: str = "instrument"
     """Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air`, `reflector`.
     """
     component_names: tuple[str, ...] = ("",)
     """Names of the c components. A scalar quantity has one component, with an empty name."""
-    component_scales: tuple[float, ...] = ()
+    component_si_per_coefficient: tuple[float, ...] = ()
     """Change [SI] of each component per unit of its coefficient; empty if all are 1."""
     component_units: tuple[str, ...] = ()
     """Display units of the components; empty if all have `display_unit`."""
 
-    def display_unit_and_factor(self, component_index: int) -> tuple[str, float]:
+    def display_unit_and_factor_on_coefficient(self, component_index: int) -> tuple[str, float]:
         """Display unit of the component with this index, and the factor from its coefficient to that unit."""
         unit, scale = (
-            (self.component_units[component_index], self.component_scales[component_index])
+            (self.component_units[component_index], self.component_si_per_coefficient[component_index])
             if self.component_units
             else (self.display_unit, 1.0)
         )
@@ -128,7 +128,7 @@ def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
     """
     return tuple(
         p.name
-        for e in MISALIGNMENT_EFFECTS
+        for e in ORDINARY_CALIBRATION_EFFECTS
         for p, t in zip(e.parameters, e.terms, strict=True)
         if t == ChainErrorTerm(error_key)
     )
@@ -169,7 +169,7 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
     """Change (n, 3, c) of the readings of n pointings per unit of the coefficient of each of c changed observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
-        for name, scale in zip(response.observables, response.component_scales, strict=True)
+        for name, scale in zip(response.observables, response.component_si_per_coefficient, strict=True)
     ]
     return np.concatenate(component_designs, axis=2)
 
@@ -252,7 +252,7 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
         if name in _RESPONSES_NEEDING_NESTS and not has_nest_normals:
             continue
         design = derivative(sightings)
-        comparable = (d for c, d in designs.values() if d.shape == design.shape and c.kind != "stand")
+        comparable = (d for c, d in designs.values() if d.shape == design.shape and c.changed_part != "stand")
         same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in comparable)
         if design.any() and not any(same):
             designs[name] = response, design

@@ -31,7 +31,7 @@ def displayed_sizes(
     components are listed, at the set-up with the largest motion. The k coefficients of the law have the mean
     `coefficients` (k,) [SI] and the covariance `covariance` (k, k).
     """
-    law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
+    law, main_direction, means, spread = law.law_at_setup_of_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
     if law.regressor.kind == "constant":
         name = "" if law.response.component_units else law.response.name
@@ -65,5 +65,5 @@ def displayed_sizes(
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
     """Size of one component of the response in its display unit, from `value` and `variance` of its coefficient."""
-    unit, factor = law.response.display_unit_and_factor(component)
+    unit, factor = law.response.display_unit_and_factor_on_coefficient(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -43,7 +43,7 @@ DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
 FIXED_COUNT_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
-RESET_COUNTS = range(3, 31)
+POINTINGS_BETWEEN_RESETS = range(3, 31)
 """Numbers of pointings between resets of a state that a search tries."""
 LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that a search tries, as quantiles of the quantity."""
@@ -93,7 +93,7 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
             if x.any()
             else []
         )
-    reset_functions += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in RESET_COUNTS]
+    reset_functions += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in POINTINGS_BETWEEN_RESETS]
     for how, k in reset_functions:
         n_resets = int(_is_reset(sightings, how, k).sum())
         if MIN_RESETS <= n_resets < len(sightings) - len(np.unique(sightings.station)) - MIN_RESETS:

@@ -10,16 +10,16 @@ import numpy as np
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.regressor_library import OPERATOR_PREFIXES, READING_COVARIATES
+from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, MEMORY_OPERATOR_PREFIXES
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     COORDINATE_COVARIATES,
-    LEVER_FUNCTION,
+    DEFLECTION_FUNCTION,
     Regressor,
     group_amounts_regressor,
     latch_regressor,
     nearness_regressor,
-    passage_regressor,
+    path_length_regressor,
     piecewise_regressor,
     scalar_regressor,
     switch_regressor,
@@ -104,7 +104,7 @@ MIN_VALUE_IN_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in a unit, by unit. Smaller values have the next smaller unit, as 90 s or 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text form of a law with separate coefficients for each set-up."""
-RATIO_SUFFIX = ", components in the ratio {values}"
+FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
 """Suffix of the text form of a law whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 """Suffix of the text form of a regressor with separate coefficients for each instrument."""
@@ -112,13 +112,13 @@ SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
 """Suffix of the text form of a switch that the error follows with a first-order lag."""
-SWITCH_START_TEXT = "the start"
+SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
 """Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
-REGION_PHRASES = {
+REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
-    ("passage", LEVER_FUNCTION): "the lever of the path through",
+    ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
 """Words before the text form of a region, by the kind and the function of the regressor."""
@@ -149,7 +149,7 @@ def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
     if regressor.kind in FACTOR_SEPARATORS:
         return FACTOR_SEPARATORS[regressor.kind].join(regressor_text(f, has_clock=has_clock) for f in regressor.factors)
     if regressor.region is not None:
-        return f"{REGION_PHRASES[regressor.kind, regressor.function]} {region_text(regressor.region)}"
+        return f"{REGION_PHRASE_BY_REGRESSOR[regressor.kind, regressor.function]} {region_text(regressor.region)}"
     if regressor.kind == "switch":
         return _switch_text(regressor, has_clock=has_clock)
     if regressor.kind == "latch":
@@ -174,7 +174,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
     name = regressor.covariates[0]
     values = [covariate_value_text(name, factor.constant, has_clock=has_clock) for factor in regressor.factors]
     if regressor.factors[0].constant == -np.inf:
-        values[0] = SWITCH_START_TEXT
+        values[0] = SWITCH_FROM_FIRST_POINTING_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     lag = (
         SWITCH_LAG_SUFFIX.format(value=covariate_value_text("time", regressor.constant, has_clock=has_clock))
@@ -186,7 +186,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 def law_suffix(law: EmpiricalLaw) -> str:
     """Text that follows a law's regressor: separate coefficients for each set-up, fixed ratio of its components."""
-    ratio = RATIO_SUFFIX.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    ratio = FIXED_RATIO_SUFFIX.format(values=" / ".join(f"{r:.4g}" for r in law.direction)) if law.direction else ""
     return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
 
 
@@ -218,12 +218,12 @@ _PLACEHOLDER_PATTERNS = {
     "value": f"(?P<value>{_NUMBER_PATTERN}) ?(?P<unit>[a-z]*)",
 }
 _REGION_PATTERN = re.compile(
-    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(REGION_SHAPES.values())}) "
+    rf"(?P<through>{'|'.join(REGION_PHRASE_BY_REGRESSOR.values())}) a (?P<shape>{'|'.join(REGION_SHAPES.values())}) "
     rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
 _COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
 _RATIO_PATTERN = re.compile(
-    rf"(?P<words>.+){RATIO_SUFFIX.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}"
+    rf"(?P<words>.+){FIXED_RATIO_SUFFIX.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}"
 )
 _LATCH_PATTERN = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
 _LAG_PATTERN = SWITCH_LAG_SUFFIX.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
@@ -264,7 +264,7 @@ def parse_law(
     if targets or any(factor.kind == "wave" for factor in regressor.factors):  # linear for a group, quadratic for all
         orders = {COORDINATE_COVARIATES: 1.0, ("target",): float(len(targets))}
         factors = (
-            replace(f, centre_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
+            replace(f, field_or_amount_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
             for f in regressor.factors
         )
         regressor = replace(regressor, factors=tuple(factors))
@@ -275,9 +275,9 @@ def parse_law(
         regressor,
         has_coefficients_per_setup=has_coefficients_per_setup,
     )
-    if direction and len(direction) != law.n_components:
+    if direction and len(direction) != law.n_setup_components:
         raise ModelError(
-            f"'{regressor_text}': expected a ratio of {law.n_components} components, not of {len(direction)}"
+            f"'{regressor_text}': expected a ratio of {law.n_setup_components} components, not of {len(direction)}"
         )
     return replace(law, direction=direction)
 
@@ -299,8 +299,8 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         )
     if match := _REGION_PATTERN.fullmatch(text):
         region = _parse_hall_region(text, match)
-        kind, function = next(key for key, through in REGION_PHRASES.items() if through == match["through"])
-        return nearness_regressor(region) if kind == "near" else passage_regressor(region, function)
+        kind, function = next(key for key, through in REGION_PHRASE_BY_REGRESSOR.items() if through == match["through"])
+        return nearness_regressor(region) if kind == "near" else path_length_regressor(region, function)
     if len(factors) > 1:
         return Regressor(
             "product",
@@ -309,7 +309,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])
     further = recording.regressor_covariates
-    covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATOR_PREFIXES for name in further))
+    covariates = (*BUILTIN_COVARIATES, *further, *(f"{p}-{n}" for p in MEMORY_OPERATOR_PREFIXES for n in further))
     if match := _SWITCH_PATTERN.fullmatch(text):
         return _parse_switch(text, match, recording)
     if match := _LATCH_PATTERN.fullmatch(text):
@@ -347,10 +347,10 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
 def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
     """Switch from its text form and the match of this text; raises ModelError for unordered or invalid values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
-    is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
+    is_covariate = name in {*BUILTIN_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
-        if text == SWITCH_START_TEXT and not edges:
+        if text == SWITCH_FROM_FIRST_POINTING_TEXT and not edges:
             edges.append(scalar_regressor(name, "step", -np.inf))
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
@@ -371,7 +371,7 @@ def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> R
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
-        if value is None or name not in {*READING_COVARIATES, *recording.regressor_covariates}:
+        if value is None or name not in {*BUILTIN_COVARIATES, *recording.regressor_covariates}:
             raise ModelError(f"'{law_text}': expected a text such as '{TEXT_FORM_EXAMPLES[-2]}'")
         thresholds.append(_parse_constant(law_text, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:

@@ -47,10 +47,10 @@ class VarianceFunction(CandidateNoiseEffect):
 
     variance = sigma^2 (1 + v * pattern), with the declared sigma, an added relative variance v, and a pattern from 0 to
     1 over the pointings. Each of `group_names` (targets, stations or pointings) has a separate v, and with
-    `per_observable` also each observable. For a `region` of the hall the pattern is the length of the line of sight in
-    it, divided by the longest such length. With a `covariate_band` the pattern is 1 if the first covariate is between
-    the first and second limit, the third and fourth, and so on; otherwise it is 0. With a region and a band the pattern
-    is the product of both patterns.
+    `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is the length of the line
+    of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1 if the first covariate
+    is between the first and second limit, the third and fourth, and so on; otherwise it is 0. With a region and a band
+    the pattern is the product of both patterns.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -63,15 +63,15 @@ class VarianceFunction(CandidateNoiseEffect):
     """Names of the stations where the noise changes; empty for all."""
     instruments: tuple[str, ...] = ()
     """Names of the instruments whose noise changes; empty for all."""
-    decreases: bool = False
+    decreases_with_covariate: bool = False
     """True if the noise decreases with the covariate."""
-    repetition: str = ""
+    shared_error_repetition: str = ""
     """Repeated pointings that have the same error, one of `REPETITION_KINDS`; empty for independent errors."""
     group_kind: str = ""
     """Kind of the groups with separate noise: target, station or pointing; empty for common noise."""
     group_names: tuple[str, ...] = ()
     """Names of the targets, stations or pointings with separate noise; empty for all."""
-    per_observable: bool = False
+    has_variance_per_observable: bool = False
     """True if each observable has a separate added variance."""
     region: HallRegion | None = None
     """Region of the hall; readings along lines of sight through it have larger noise."""
@@ -83,7 +83,7 @@ class VarianceFunction(CandidateNoiseEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added variances, as fractions of the declared variance: a single one, or one per group and observable."""
-        kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
+        kinds = [f"-{name}" for name in self.observables] if self.has_variance_per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
             Parameter(n, "", "added variance where the pattern is 1, divided by the declared variance", 3.0)
@@ -93,18 +93,18 @@ class VarianceFunction(CandidateNoiseEffect):
     @property
     def response_text(self) -> str:
         """Name for users of the changed quantity: `noise`, or the observable whose error repeated pointings share."""
-        return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
+        return self.observables[0] if self.shared_error_repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
         """Names for users of the covariates, or of the kind of groups, on which the variance depends."""
-        return "station and target" if self.repetition else self.group_kind or " ".join(self.covariates)
+        return "station and target" if self.shared_error_repetition else self.group_kind or " ".join(self.covariates)
 
     @property
     def text(self) -> str:
         """Description of the change of the noise, for users."""
-        if self.repetition:
-            again = ", in both faces" if self.repetition == REPEATS_IN_BOTH_FACES else ""
+        if self.shared_error_repetition:
+            again = ", in both faces" if self.shared_error_repetition == REPEATS_IN_BOTH_FACES else ""
             return f"errors without a visible law that recur when a target is measured again{again}"
         if self.region is not None:
             return "larger noise on lines of sight that pass a region of the hall" + (
@@ -115,14 +115,14 @@ class VarianceFunction(CandidateNoiseEffect):
         if self.group_kind:
             what = self.group_kind.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (
-                ", separately for each observable" if self.per_observable else ""
+                ", separately for each observable" if self.has_variance_per_observable else ""
             )
         if not self.covariates:
             return "larger noise"
         if self.covariate_band:
             several = "bands" if len(self.covariate_band) > 2 else "a band"
             return f"larger noise in {several} of {self.covariates[0]}"
-        return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
+        return f"noise that {'falls' if self.decreases_with_covariate else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
         """Variance (n, 3) of the readings of n pointings, from declared standard deviations (n, 3) and added variances.
@@ -145,7 +145,7 @@ class VarianceFunction(CandidateNoiseEffect):
         for name in self.covariates if self.region is None and not self.covariate_band else ():
             x = noise_covariate(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
-            pattern = pattern * ((1 - x) if self.decreases else x) ** 2
+            pattern = pattern * ((1 - x) if self.decreases_with_covariate else x) ** 2
         return self._declared_variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:

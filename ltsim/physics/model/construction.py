@@ -12,7 +12,7 @@ from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
@@ -182,15 +182,13 @@ class GeometricErrorModel:
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[ChainErrorEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
+def misalignment_construction(
+    effects: Iterable[ChainErrorEffect] = ORDINARY_CALIBRATION_EFFECTS,
+) -> GeometricErrorModel:
     """Geometric error model of a tracker with the source in the head; by default with all 16 misalignments."""
-    chosen = tuple(effects)
-    return GeometricErrorModel(
-        "misalignment",
-        kinematics.MISALIGNMENT_CHAIN,
-        tuple(p for effect in chosen for p in effect.parameters),
-        tuple(t for effect in chosen for t in effect.terms),
-    )
+    effects = tuple(effects)
+    parameters, terms = (tuple(p for e in effects for p in e.parameters), tuple(t for e in effects for t in e.terms))
+    return GeometricErrorModel("misalignment", kinematics.MISALIGNMENT_CHAIN, parameters, terms)
 
 
 UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
@@ -202,7 +200,7 @@ UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
 """Display unit and prior standard deviation [SI] of a parameter, by the specified quantity to which it belongs."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Suffixes of the names of the coefficients of a rotary joint's error function: constant, sines and cosines."""
-DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 """Names of the six error motions of a rotary joint in the Denavit-Hartenberg model."""
 MAX_HARMONIC_ORDER = 4
 """Highest order of the harmonics of a joint in the Denavit-Hartenberg model."""
@@ -224,7 +222,7 @@ SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
 the coefficient. The coefficients are those that represent the misalignments of a tracker with its source in the head.
 """
 
-_RANGE_SCALE_LENGTH = 5.0
+_EQUAL_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
@@ -247,12 +245,12 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     Sine and cosine coefficients replace the paper's amplitude and phase, because the phase is undefined at zero
     amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
     """
-    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_JOINT_ERRORS]
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
     rows = [(key, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
-        (f"T.{motion}", str(k), RangePowerBasis(k), _RANGE_SCALE_LENGTH**-k)
-        for motion in DH_JOINT_ERRORS
+        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_CONTRIBUTION_RANGE**-k)
+        for motion in DH_ERROR_MOTIONS
         for k in range(degree + 1)
     ]
     parameters, terms = [], []
@@ -351,7 +349,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
     return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
 
 
-def construction_with_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
+def construction_with_dh_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
     """Geometric error model by name; order of harmonics and degree of polynomials apply to the model ``dh`` only."""
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 

@@ -22,7 +22,7 @@ from ltsim.recordings.reflectors import smr_names
 from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
-INCIDENCE_EFFECT = SmrIncidence()
+SMR_INCIDENCE_EFFECT = SmrIncidence()
 """Effect with the range error as a function of the angle of incidence."""
 MIN_BENCH_TEST_SIGMA = 1e-3 * MICROMETRE
 """Smallest standard deviation [m] of a range error from a bench test: a tenth of the resolution of interferometers. It
@@ -69,7 +69,7 @@ class IncidenceErrors(LinearEffect):
         It is zero for pointings to other reflectors.
         """
         return (
-            INCIDENCE_EFFECT.range_correction_design(*INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
+            SMR_INCIDENCE_EFFECT.range_correction_design(*SMR_INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
             * self.reflector_indicator[:, None]
         )
 
@@ -88,7 +88,7 @@ class IncidenceErrors(LinearEffect):
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
     """Incidence errors of a recording, one per reflector that was in a fixed nest with a known normal."""
-    return tuple(_incidence_errors_by_reflector(recording))
+    return tuple(_iterate_incidence_errors(recording))
 
 
 def incidence_reading_change(
@@ -100,14 +100,14 @@ def incidence_reading_change(
     A reflector without an entry has no error.
     """
     names = np.array(smr_names(recording))
-    by_law = INCIDENCE_EFFECT.design(sightings)
+    by_law = SMR_INCIDENCE_EFFECT.design(sightings)
     change = np.zeros((len(recording), 3))
     for name, values in parameters_by_reflector.items():
         change += np.where((names == name)[:, None], by_law @ values, 0.0)
     return change
 
 
-def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceErrors]:
+def _iterate_incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
     """Iterator over the incidence errors of each reflector that was in a fixed nest with a known normal."""
     setups = [recording.target_setup(name) for name in recording.targets]
     nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
@@ -126,7 +126,7 @@ def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Float
 
     The covariance is R R'. Without a bench test (None) the mean is zero and the covariance is the effect's prior.
     """
-    mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.plausible_sizes)
+    mean, root = np.zeros(len(SMR_INCIDENCE_EFFECT.parameters)), np.diag(SMR_INCIDENCE_EFFECT.plausible_sizes)
     if bench_test is None:
         return mean, root
     angle, error, sigma = (

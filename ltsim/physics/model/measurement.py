@@ -72,7 +72,7 @@ def plumb_directions(recording: Recording) -> Floats:
     return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
-def with_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
+def with_spherical_earth_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
     """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up declares `curved`.
 
     `station_positions` (S, 3) [m] are the positions of the S stations. Declared plumb lines are not replaced.
@@ -132,7 +132,7 @@ class LatestPrediction:
         self._state: NetworkState | None = None
         self._readings: Floats = np.zeros((0, 3))
 
-    def readings_at(self, state: NetworkState, compute_readings: Callable[[NetworkState], Floats]) -> Floats:
+    def readings_at_state(self, state: NetworkState, compute_readings: Callable[[NetworkState], Floats]) -> Floats:
         """Copy of the readings (n, 3) of n pointings at `state`, computed unless `state` is the last object given."""
         if state is not self._state:
             self._state, self._readings = state, compute_readings(state)
@@ -242,9 +242,9 @@ class MeasurementModel:
     def sightings(self, state: NetworkState) -> Sightings:
         """Sightings of the pointings for the poses, coordinates and instrument parameters of `state`."""
         geometry = self.sightings_without_covariates(state)
-        return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
+        return self._with_normals_and_readings(geometry, state, self._instrument_readings(geometry, state))
 
-    def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
+    def _with_normals_and_readings(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
         """Sightings `geometry` with nest normals in the network frame and with raw readings (n, 3) of n pointings."""
         turn = self._declared_plan.rotation_to_network(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
@@ -293,13 +293,13 @@ class MeasurementModel:
 
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3) [m, rad] of n pointings at `state`."""
-        return self.latest_prediction.readings_at(state, self._predicted_readings)
+        return self.latest_prediction.readings_at_state(state, self._predicted_readings)
 
     def _predicted_readings(self, state: NetworkState) -> Floats:
         sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
-            sightings = self._with_effect_data(sightings, state, raw_readings)
+            sightings = self._with_normals_and_readings(sightings, state, raw_readings)
             raw_readings = raw_readings + self.change_by_extra_parameters(sightings, state.extra_parameters)
         if self._is_horizontal_distance is not None:
             raw_readings[self._is_horizontal_distance, 0] *= np.abs(
@@ -321,7 +321,7 @@ class MeasurementModel:
             sightings.local_points, sightings.face, values
         )
         if self.extra_effects:
-            sightings = self._with_effect_data(sightings, state, raw)
+            sightings = self._with_normals_and_readings(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))

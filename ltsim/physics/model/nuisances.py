@@ -89,7 +89,7 @@ class CentringErrors(TargetDisplacement):
 
     sigma: float
     """Standard deviation [m] of each component of a displacement."""
-    occupation: Ints
+    occupation_indices: Ints
     """Index of the occupation of each of n pointings, (n,); -1 for pointings without a displacement."""
 
     @property
@@ -100,7 +100,7 @@ class CentringErrors(TargetDisplacement):
     @property
     def n_occupations(self) -> int:
         """Number of occupations of targets."""
-        return int(self.occupation.max(initial=-1)) + 1
+        return int(self.occupation_indices.max(initial=-1)) + 1
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -112,8 +112,8 @@ class CentringErrors(TargetDisplacement):
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, q) [m] of the reflector in each of n pointings, per metre of each of the q components."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
-        occupied_rows = np.flatnonzero(self.occupation >= 0)
-        displacements[occupied_rows, :, self.occupation[occupied_rows]] = np.eye(3)
+        occupied_rows = np.flatnonzero(self.occupation_indices >= 0)
+        displacements[occupied_rows, :, self.occupation_indices[occupied_rows]] = np.eye(3)
         return displacements.reshape(len(sightings), 3, -1)
 
 
@@ -134,9 +134,9 @@ class SharedErrors(LinearEffect):
     errors together with the network is equivalent to an adjustment with this covariance.
     """
 
-    reading_changes: Floats
+    reading_changes_per_sigma: Floats
     """Change of the readings of n pointings by one standard deviation of each of q errors, (n, 3, q) [m, rad]."""
-    is_horizontal: Bools
+    is_horizontal_distance: Bools
     """Flags (n,) of those of n pointings whose distance is reduced to the horizontal."""
 
     @property
@@ -147,7 +147,9 @@ class SharedErrors(LinearEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The q shared errors as parameters in units of their standard deviations, with a prior sigma of 1 each."""
-        return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reading_changes.shape[2]
+        return (
+            Parameter("shared-error", "", "error that readings share", 1.0),
+        ) * self.reading_changes_per_sigma.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings of n pointings per unit of each of q errors.
@@ -156,15 +158,15 @@ class SharedErrors(LinearEffect):
         elevation e. The change of r is therefore such that h, with the changed e, changes by the declared error.
         """
         range_changes, (range_, _, elevation) = (
-            self.reading_changes.copy(),
-            sightings.instrument_readings[self.is_horizontal].T[:, :, None],
+            self.reading_changes_per_sigma.copy(),
+            sightings.instrument_readings[self.is_horizontal_distance].T[:, :, None],
         )
         cosine = np.cos(elevation)
         change = (
-            np.sign(cosine) * range_changes[self.is_horizontal, 0]
-            + range_ * np.sin(elevation) * range_changes[self.is_horizontal, 2]
+            np.sign(cosine) * range_changes[self.is_horizontal_distance, 0]
+            + range_ * np.sin(elevation) * range_changes[self.is_horizontal_distance, 2]
         )
-        range_changes[self.is_horizontal, 0] = change / cosine
+        range_changes[self.is_horizontal_distance, 0] = change / cosine
         return range_changes
 
 

@@ -38,7 +38,7 @@ from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.scene.floor import grid_step
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import InvisibilityReason, shadow_radii
+from ltsim.scene.visibility import InvisibilityReason, shadow_cone_radii
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
@@ -182,7 +182,9 @@ class MovableLayout:
             "reasons": visibility.reason_codes.tolist(),
             "hidden": int(InvisibilityReason.OBSTACLE),
             "may_stand": self.search_space.is_allowed(survey.station_positions).tolist(),
-            "shadow": shadow_radii(survey.station_positions, 0.0, self.search_space.sight_limits.cone_opening).tolist(),
+            "shadow": shadow_cone_radii(
+                survey.station_positions, 0.0, self.search_space.sight_limits.shadow_cone_opening
+            ).tolist(),
             "hours": survey.duration / 3600.0,
             "problem": broken_rules_text((*broken_position_rules, *search_space.broken_sight_rules(survey))),
         }

@@ -15,7 +15,7 @@ from ltsim.adjustment.remedies.detectability import (
 )
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, TEST_POWER
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
 from ltsim.physics.effects.noise_level import NoiseLevel
@@ -29,7 +29,7 @@ from tests.planning.fixtures import survey
 INFORMATION = LayoutInformation.from_survey(survey())
 SPACE = ResidualSpace.from_adjustment(INFORMATION.adjustment)
 
-SINGLE = level_of_single_test(len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1, GLOBAL_TEST_LEVEL)
+SINGLE = level_of_single_test(len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS) + 1, GLOBAL_TEST_LEVEL)
 """Level of one effect at one place in a search."""
 
 
@@ -93,7 +93,9 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     sag = detectability_of_variants(SPACE, [HeadSag()])
     assert sag is not None
     assert sag.visible_fractions[0] < 1e-3
-    others = misalignment_construction(e for e in MISALIGNMENT_EFFECTS if not isinstance(e, ElevationEccentricity))
+    others = misalignment_construction(
+        e for e in ORDINARY_CALIBRATION_EFFECTS if not isinstance(e, ElevationEccentricity)
+    )
     space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(survey(), others).adjustment)
     first, second = (
         detectability_of_variants(space, [HeadSag()]),

@@ -18,7 +18,7 @@ from ltsim.diagnosis.global_test import GlobalTestResult, run_global_test
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -38,7 +38,7 @@ class Search:
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
-        ordinary = {type(effect) for effect in MISALIGNMENT_EFFECTS}
+        ordinary = {type(effect) for effect in ORDINARY_CALIBRATION_EFFECTS}
         for kind in CATALOGUE:
             shifts = kind not in ordinary and not issubclass(kind, NoiseEffect)
             places = list(kind.candidates(self.space.sightings)) if shifts else []

@@ -10,7 +10,7 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
-from ltsim.physics.effects.ciddor import refractive_index_sensitivity, refractivity, saturation_vapour_pressure
+from ltsim.physics.effects.ciddor import refractive_index_decrease_per_kelvin, refractivity, saturation_vapour_pressure
 from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.rays import integrated_reading_change, relative_index_decrease_per_kelvin
 from ltsim.physics.effects.turbulence import Turbulence
@@ -53,7 +53,7 @@ def test_index_of_dry_air_is_that_of_the_paper(temperature: float, pressure: flo
 def test_sensitivities_are_those_of_the_catalogue() -> None:
     """Per K, per hPa, per percent of humidity, at 20 C and at 27 C."""
     for temperature, kelvin, hectopascal, percent in ((20.0, -0.955, 0.268, -0.0085), (27.0, -0.922, 0.262, -0.0126)):
-        assert -1e6 * refractive_index_sensitivity(temperature) == pytest.approx(kelvin, abs=6e-4)
+        assert -1e6 * refractive_index_decrease_per_kelvin(temperature) == pytest.approx(kelvin, abs=6e-4)
         step = index(temperature, 101_375.0, 50.0) - index(temperature, 101_275.0, 50.0)
         assert 1e6 * step == pytest.approx(hectopascal, abs=6e-4)
         step = index(temperature, 101_325.0, 50.5) - index(temperature, 101_325.0, 49.5)
@@ -68,14 +68,14 @@ def test_vapour_pressure_over_water() -> None:
 def test_gradient_bends_and_shortens_as_the_formula_says() -> None:
     """Upright station: -1/2 beta G d cos el, +beta G d (mean height - sensor)."""
     s = scene(lean=0.0)
-    beta = refractive_index_sensitivity(20.0)
+    beta = refractive_index_decrease_per_kelvin(20.0)
     sensor = s.target_points[:, 2].mean()
     mean = 0.5 * (s.target_points[s.target, 2] + s.station_positions[s.station, 2])
     found = corrections(AirGradient(), s)[:, :, 0]
     np.testing.assert_allclose(found[:, 0], beta * s.range_ * (mean - sensor), rtol=3e-4)
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-18)
     np.testing.assert_allclose(found[:, 2], -0.5 * beta * s.range_ * np.cos(s.elevation), rtol=3e-4)
-    assert 1e6 * 0.5 * refractive_index_sensitivity(27.0) * 8.0 == pytest.approx(3.7, abs=0.05)
+    assert 1e6 * 0.5 * refractive_index_decrease_per_kelvin(27.0) * 8.0 == pytest.approx(3.7, abs=0.05)
 
 
 def test_gradient_agrees_with_the_integrated_ray() -> None:
@@ -182,7 +182,7 @@ def test_plume_in_the_path_shortens_the_range() -> None:
     plume = HeatPlume((), ("T10",), radius=0.5 / np.sqrt(2 * np.pi))
     change = plume.design(SCENE)[:, 0, 0][SCENE.target == 9] * 5.0
     # The target sits in the middle of the ball: half of it is in the path.
-    np.testing.assert_allclose(change, -0.5 * refractive_index_sensitivity(20.0) * 5.0 * 0.5, rtol=1e-3)
+    np.testing.assert_allclose(change, -0.5 * refractive_index_decrease_per_kelvin(20.0) * 5.0 * 0.5, rtol=1e-3)
 
 
 def test_heat_near_the_station_bends_and_heat_near_the_target_does_not() -> None:

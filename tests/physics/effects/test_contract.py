@@ -158,7 +158,7 @@ def test_first_order_agrees_with_the_exact_chain(kind: type[ChainErrorEffect]) -
         values = 0.01 * prior(effect)
         exact = (
             misalignment_construction([effect]).readings_from_points(SCENE.local_points, SCENE.face, values)
-            - SCENE.raw_readings
+            - SCENE.ideal_raw_readings
         )
         exact[:, 1] = (exact[:, 1] + np.pi) % (2 * np.pi) - np.pi
         linear = effect.design(SCENE) @ values
@@ -171,7 +171,7 @@ def test_noise_is_the_stated_one_at_zero(kind: type[NoiseEffect]) -> None:
     for effect in kind.candidates(SCENE):
         zero = np.zeros(len(effect.parameters))
         np.testing.assert_allclose(effect.variance(SCENE, sigma, zero), sigma**2)
-        for values in effect.size_grid():
+        for values in effect.candidate_parameter_values():
             assert len(values) == len(effect.parameters)
             assert (effect.variance(SCENE, sigma, np.array(values)) > 0).all()
         felt = [effect.variance(SCENE, sigma, size) != sigma**2 for size in np.diag(prior(effect))]

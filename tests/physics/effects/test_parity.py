@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
+from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
 from ltsim.physics.effects.azimuth_drift import AzimuthDrift
@@ -102,8 +102,8 @@ def test_baseline_has_the_forms_and_face_signs_of_the_table() -> None:
             "elevation-eccentricity": [(no, no, np.cos(el)), (no, no, f * np.sin(el))],
             "elevation-second-order": [(no, no, f * np.cos(2 * el)), (no, no, np.sin(2 * el))],
         }
-        assert set(table) == {effect.name for effect in MISALIGNMENT_EFFECTS}
-        for effect in MISALIGNMENT_EFFECTS:
+        assert set(table) == {effect.name for effect in ORDINARY_CALIBRATION_EFFECTS}
+        for effect in ORDINARY_CALIBRATION_EFFECTS:
             expected = np.stack([np.stack(column, axis=1) for column in table[effect.name]], axis=2)
             np.testing.assert_allclose(corrections(effect, s), expected, atol=1e-12, err_msg=effect.name)
 
@@ -115,7 +115,7 @@ def test_tilt_wobble_has_the_coupling_of_both_angles(order: int) -> None:
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="tilt", order=order), s)
         for k, amplitude in enumerate((1.0, 1.0j)):
-            w = amplitude * np.exp(1j * order * s.raw_readings[:, 1])
+            w = amplitude * np.exp(1j * order * s.ideal_raw_readings[:, 1])
             rise = w.real * np.sin(s.azimuth) - w.imag * np.cos(s.azimuth)
             turn = -np.tan(s.elevation) * (w.real * np.cos(s.azimuth) + w.imag * np.sin(s.azimuth))
             np.testing.assert_allclose(found[:, :, k], np.stack([0 * rise, turn, rise], axis=1), atol=1e-12)
@@ -126,18 +126,20 @@ def test_transit_wobble_is_a_lateral_shift_in_proportion_to_the_range() -> None:
     for face, f in ((1, 1.0), (2, -1.0)):
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="transit", order=2), s)[:, 1]
-        expected = f * np.stack([np.cos(2 * s.raw_readings[:, 2]), np.sin(2 * s.raw_readings[:, 2])], axis=1)
+        expected = f * np.stack(
+            [np.cos(2 * s.ideal_raw_readings[:, 2]), np.sin(2 * s.ideal_raw_readings[:, 2])], axis=1
+        )
         np.testing.assert_allclose(found * np.cos(s.elevation)[:, None], expected, atol=1e-12)
 
 
 def test_detector_offset_is_a_beam_offset_of_half_its_size() -> None:
-    beam = next(effect for effect in MISALIGNMENT_EFFECTS if effect.name == "beam-offset")
+    beam = next(effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name == "beam-offset")
     np.testing.assert_allclose(DetectorOffset().design(SCENE), 0.5 * beam.design(SCENE))
 
 
 def test_sag_of_an_upright_tracker_is_the_cosine_of_the_elevation_circle() -> None:
     """Exact for upright stations, and not for leaning ones."""
-    circle = next(effect for effect in MISALIGNMENT_EFFECTS if effect.name == "elevation-eccentricity")
+    circle = next(effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name == "elevation-eccentricity")
     upright = scene(lean=0.0)
     np.testing.assert_allclose(HeadSag().design(upright)[:, :, 0], -circle.design(upright)[:, :, 0], atol=1e-12)
     leaning = scene(lean=0.3)

@@ -51,7 +51,7 @@ HOUR = 3600.0
 def test_interpolation_error_repeats_at_the_same_angle_on_its_own_circle() -> None:
     effect = EncoderInterpolation(circle="elevation", periods=3600)
     found = -effect.design(SCENE)
-    x = SCENE.raw_readings[:, 2]
+    x = SCENE.ideal_raw_readings[:, 2]
     np.testing.assert_allclose(found[:, 2], np.stack([np.cos(3600 * x), np.sin(3600 * x)], axis=1), atol=1e-9)
     assert effect.observables == ("elevation",)
 
@@ -65,7 +65,7 @@ def test_backlash_turns_with_the_order_of_the_work() -> None:
         assert set(np.round(np.unique(np.abs(forward[:, slot, column])), 9)) <= {0.0, 0.5}
         went_on = forward[1:-1, slot, column] * forward[2:, slot, column] > 0
         went_on &= (
-            np.abs(wrap_angle(np.diff(front.raw_readings[:, slot])))[1:] > 1e-3
+            np.abs(wrap_angle(np.diff(front.ideal_raw_readings[:, slot])))[1:] > 1e-3
         )  # an axis that stays keeps its last side
         both = (reverse[1:-1, slot, column] != 0) & (forward[1:-1, slot, column] != 0) & went_on
         assert both.sum() > 30
@@ -249,7 +249,7 @@ def test_other_ball_lifts_every_target_of_the_station_along_its_normal() -> None
     lifted = SCENE.target_points + 12.7e-3 * np.nan_to_num(SCENE.nest_normals)
     other = replace(SCENE, target_points=lifted)
     here = SCENE.station == 1
-    gap = other.raw_readings - SCENE.raw_readings
+    gap = other.ideal_raw_readings - SCENE.ideal_raw_readings
     gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change[here], gap[here], atol=1e-13)
 
@@ -268,7 +268,7 @@ def test_moved_target_is_seen_in_the_same_direction_from_all_stations_afterwards
     motion = np.array([40e-6, 30e-6, -20e-6])
     moved[4] += motion
     change = TargetMoved((), ("T05",), step).reading_change(SCENE, motion)
-    gap = replace(SCENE, target_points=moved).raw_readings - SCENE.raw_readings
+    gap = replace(SCENE, target_points=moved).ideal_raw_readings - SCENE.ideal_raw_readings
     np.testing.assert_array_equal(np.flatnonzero(change.any(axis=1)), rows[4:])
     np.testing.assert_allclose(change[rows[4:]], gap[rows[4:]], atol=1e-14)
     creep = TargetMoved((), ("T05",), kind="creep").design(SCENE)
@@ -299,7 +299,7 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     turned = matrix_from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
     arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]
     seen = to_face(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
-    np.testing.assert_allclose(change[row], seen - SCENE.raw_readings[row], atol=1e-13)
+    np.testing.assert_allclose(change[row], seen - SCENE.ideal_raw_readings[row], atol=1e-13)
 
 
 def test_bump_at_the_start_is_only_another_pose() -> None:
@@ -324,7 +324,7 @@ def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
     """An instrument that leans about its x axis by b sees everything turned by -b about it."""
     change = StationLevelling().reading_change(SCENE, np.array([20e-6, 0.0]))
     turned = SCENE.local_points @ matrix_from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
-    gap = to_face(to_polar(turned), SCENE.face) - SCENE.raw_readings
+    gap = to_face(to_polar(turned), SCENE.face) - SCENE.ideal_raw_readings
     gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change, gap, atol=1e-13)
 
@@ -333,7 +333,7 @@ def test_lag_is_the_rate_of_the_approach() -> None:
     """Delta = rate times lag: 1 ms at 0.1 m/s is 100 um."""
     design = TimingLag().design(SCENE)
     here = np.flatnonzero(SCENE.station == 0)
-    rate = (SCENE.raw_readings[here[1:], 0] - SCENE.raw_readings[here[:-1], 0]) / 15.0
+    rate = (SCENE.ideal_raw_readings[here[1:], 0] - SCENE.ideal_raw_readings[here[:-1], 0]) / 15.0
     np.testing.assert_allclose(-design[here[1:], 0, 0], rate, atol=1e-12)
     assert not design[here[0]].any()
     assert pytest.approx(100e-6) == 0.1 * 1e-3
@@ -343,7 +343,7 @@ def test_swapped_targets_read_each_other() -> None:
     change = TargetSwap(("S3",), ("T02", "T09")).reading_change(SCENE, np.ones(1))
     swapped = SCENE.target.copy()
     swapped[SCENE.target == 1], swapped[SCENE.target == 8] = 8, 1
-    gap = replace(SCENE, target=swapped).raw_readings - SCENE.raw_readings
+    gap = replace(SCENE, target=swapped).ideal_raw_readings - SCENE.ideal_raw_readings
     gap[:, 1] = wrap_angle(gap[:, 1])
     gap[SCENE.station != 2] = 0.0
     np.testing.assert_allclose(change, gap, atol=1e-12)
@@ -352,13 +352,15 @@ def test_swapped_targets_read_each_other() -> None:
 
 def test_confused_faces_twice_are_right_again() -> None:
     confused = FaceConfusion(("S1",), face=2)
-    once = SCENE.raw_readings + confused.reading_change(SCENE, np.ones(1))
+    once = SCENE.ideal_raw_readings + confused.reading_change(SCENE, np.ones(1))
     here = (SCENE.station == 0) & (SCENE.face == 2)
-    front = SCENE.front_face_polar[here]
+    front = SCENE.ideal_front_face_readings[here]
     np.testing.assert_allclose(wrap_angle(once[here, 1:] - front[:, 1:]), 0.0, atol=1e-12)
-    np.testing.assert_array_equal(once[~here], SCENE.raw_readings[~here])
+    np.testing.assert_array_equal(once[~here], SCENE.ideal_raw_readings[~here])
     back = FaceConfusion(("S1",), face=1).reading_change(replace(SCENE, face=np.where(here, 1, SCENE.face)), np.ones(1))
-    np.testing.assert_allclose(wrap_angle((once + back)[here, 1:] - SCENE.raw_readings[here, 1:]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        wrap_angle((once + back)[here, 1:] - SCENE.ideal_raw_readings[here, 1:]), 0.0, atol=1e-12
+    )
 
 
 def test_wrong_units_have_the_ratios_of_their_units() -> None:
@@ -367,10 +369,10 @@ def test_wrong_units_have_the_ratios_of_their_units() -> None:
     here = SCENE.station == 1
     for mistake, (column, factor) in factors.items():
         effect = WrongUnit(("S2",), mistake=mistake)  # type: ignore[arg-type]
-        read = SCENE.raw_readings + effect.reading_change(SCENE, np.ones(1))
-        np.testing.assert_allclose(read[here, column], factor * SCENE.raw_readings[here, column])
-    zenith = SCENE.raw_readings + WrongUnit(("S2",), mistake="zenith").reading_change(SCENE, np.ones(1))
-    np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.raw_readings[here, 2])
+        read = SCENE.ideal_raw_readings + effect.reading_change(SCENE, np.ones(1))
+        np.testing.assert_allclose(read[here, column], factor * SCENE.ideal_raw_readings[here, column])
+    zenith = SCENE.ideal_raw_readings + WrongUnit(("S2",), mistake="zenith").reading_change(SCENE, np.ones(1))
+    np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.ideal_raw_readings[here, 2])
 
 
 def test_outlier_is_one_reading() -> None:

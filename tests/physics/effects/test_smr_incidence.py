@@ -5,7 +5,12 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, MAX_INCIDENCE, PAPER_RANGE_ERRORS, SmrIncidence
+from ltsim.physics.effects.smr_incidence import (
+    INCIDENCE_TABLE_ANGLES,
+    MAX_TABULATED_INCIDENCE,
+    PAPER_RANGE_ERRORS,
+    SmrIncidence,
+)
 from ltsim.scene.sightings import Sightings
 
 NORMAL = np.array([1.0, 0.0, 0.0])
@@ -72,7 +77,7 @@ def test_every_table_is_a_set_of_parameters() -> None:
 
 def test_the_paper_table_is_a_typical_draw_of_the_prior() -> None:
     """Standard deviation at the edge 8.8 um where the table has 10.1 and 5.3 um; no parameter beyond 2 of its own."""
-    edge = SmrIncidence.range_correction_design(np.full(2, MAX_INCIDENCE), np.array([0.0, np.pi]))[:, :12]
+    edge = SmrIncidence.range_correction_design(np.full(2, MAX_TABULATED_INCIDENCE), np.array([0.0, np.pi]))[:, :12]
     spread = np.sqrt((edge**2) @ SmrIncidence().plausible_sizes[:12] ** 2)
     np.testing.assert_allclose(spread, 8.85e-6, rtol=0.01)
     ratio = np.abs(SmrIncidence(table=PAPER_RANGE_ERRORS).parameters_from_table) / SmrIncidence().plausible_sizes
@@ -113,7 +118,7 @@ def test_unknown_nests_give_no_terms_and_nothing_undefined() -> None:
 
 
 def test_parameters_are_sizes_at_the_edge() -> None:
-    scene = sightings(np.full(3, MAX_INCIDENCE), np.array([0.0, np.pi / 2, np.pi / 6]))
+    scene = sightings(np.full(3, MAX_TABULATED_INCIDENCE), np.array([0.0, np.pi / 2, np.pi / 6]))
     design = -SmrIncidence().design(scene)
     for part, size in enumerate(([1, 1, 1], [1, 0, np.sqrt(0.75)], [0, 1, 0.5])):
         np.testing.assert_allclose(design[:, 0, 4 * part : 4 * part + 4], np.outer(size, np.ones(4)), atol=1e-9)

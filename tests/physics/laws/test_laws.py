@@ -16,10 +16,10 @@ from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import MIN_GROUP_SIZE, target_clusters
 from ltsim.physics.laws.regressor_library import (
-    READING_COVARIATES,
+    BUILTIN_COVARIATES,
     candidate_regressors,
     is_admissible,
-    target_group_regressors,
+    regressors_for_target_groups,
 )
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
@@ -59,14 +59,14 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
     }
     kinds = {
         **candidate_regressors(sightings),
-        **{f"group {k}": d for k, d in target_group_regressors(sightings).items()},
+        **{f"group {k}": d for k, d in regressors_for_target_groups(sightings).items()},
     }
     drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
     for driver in drivers:
         columns = driver.columns(sightings)
         assert columns.shape == (len(sightings), driver.n_columns)
         assert np.isfinite(columns).all()
-        assert set(driver.covariate_labels) <= words | set(sightings.covariates)
+        assert set(driver.covariate_names_in_files) <= words | set(sightings.covariates)
         spread = np.sqrt(((columns * driver.coefficient_sigmas[0]) ** 2).sum(axis=1).mean())
         assert 0.2 < spread < 2.5, driver
 
@@ -88,9 +88,9 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rows = rows[np.argsort(sightings.time[rows], kind="stable")]
     done = np.append(0.0, np.cumsum(np.abs(np.diff(load[rows]))))
     np.testing.assert_allclose(quantities["work-press_load_kn"][rows], done)
-    assert scalar_regressor("work-press_load_kn", "power").covariate_labels == ("press_load_kn",)
-    assert scalar_regressor("work-azimuth", "power").covariate_labels == ("approach",)
-    assert set(READING_COVARIATES) - {"station", "last-target"} <= set(quantities)
+    assert scalar_regressor("work-press_load_kn", "power").covariate_names_in_files == ("press_load_kn",)
+    assert scalar_regressor("work-azimuth", "power").covariate_names_in_files == ("approach",)
+    assert set(BUILTIN_COVARIATES) - {"station", "last-target"} <= set(quantities)
 
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
@@ -256,15 +256,17 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
     law = EmpiricalLaw(
         (), group, RESPONSE_AND_DESIGN_BY_NAME["height of targets in their nests"][0], scalar_regressor("time", "power")
     )
-    (own,) = law.candidate_forms(sightings)["members"][0]
+    (own,) = law.candidate_forms_by_kind(sightings)["members"][0]
     columns = own.columns(sightings)
     assert columns.shape == (len(sightings), 4)
     for column, name in zip(columns.T, group, strict=True):
         at = sightings.target == sightings.target_names.index(name)
         assert column[at].any() and not column[~at].any()
         assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
-    assert "members" not in replace(law, targets=sightings.target_names[:2]).candidate_forms(sightings)
-    assert "members" not in replace(law, response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0]).candidate_forms(sightings)
+    assert "members" not in replace(law, targets=sightings.target_names[:2]).candidate_forms_by_kind(sightings)
+    assert "members" not in replace(law, response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0]).candidate_forms_by_kind(
+        sightings
+    )
 
 
 @pytest.mark.parametrize(

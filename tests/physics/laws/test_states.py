@@ -143,7 +143,7 @@ def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_i
         )
         assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
         law = EmpiricalLaw(response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0], regressor=driver)
-        assert law.without_switch().regressor == region
+        assert law.without_time_limit().regressor == region
         assert all(other.regressor.factors[1] == gate for other in law.neighbours(sightings))
 
 

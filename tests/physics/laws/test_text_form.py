@@ -11,15 +11,15 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import FORMULA_FUNCTIONS, HYSTERESIS_FUNCTION
-from ltsim.physics.laws.regressor_library import READING_COVARIATES, candidate_regressors
+from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, candidate_regressors
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
-    LEVER_FUNCTION,
+    DEFLECTION_FUNCTION,
     Regressor,
     group_amounts_regressor,
     latch_regressor,
     nearness_regressor,
-    passage_regressor,
+    path_length_regressor,
     piecewise_regressor,
     scalar_regressor,
     smooth_regressor,
@@ -89,7 +89,11 @@ def every() -> list[Regressor]:
     found += [
         make(HallRegion(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35))
         for axes in REGION_SHAPES
-        for make in (passage_regressor, partial(passage_regressor, function=LEVER_FUNCTION), nearness_regressor)
+        for make in (
+            path_length_regressor,
+            partial(path_length_regressor, function=DEFLECTION_FUNCTION),
+            nearness_regressor,
+        )
     ]
     found += [scalar_regressor("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
     found += [state_regressor("work-azimuth", how, 1.0) for how in ("after face", "after seating", "after azimuth")]
@@ -115,7 +119,7 @@ def every() -> list[Regressor]:
         switch_regressor([scalar_regressor("time", "step", edge) for edge in times])
         for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
     ]
-    column, start = passage_regressor(HallRegion("xy", (1.0, 2.0), 0.3)), scalar_regressor("time", "step", -np.inf)
+    column, start = path_length_regressor(HallRegion("xy", (1.0, 2.0), 0.3)), scalar_regressor("time", "step", -np.inf)
     found += [
         Regressor("product", factors=(column, switch_regressor([start, scalar_regressor("time", "step", 600.0)]))),
         Regressor(
@@ -149,7 +153,7 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
-    assert set(READING_COVARIATES) <= set(sightings.covariate_values)
+    assert set(BUILTIN_COVARIATES) <= set(sightings.covariate_values)
     tried = candidate_regressors(sightings)
     for driver in [
         d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")

@@ -84,7 +84,7 @@ class Design:
 def design(faces: tuple[int, ...], seed: int) -> Design:
     sightings, made = reference_network(faces, seed), dh_construction()
     count, each = len(sightings), np.arange(len(sightings))
-    _, by_value = made.reading_design(sightings.raw_readings, np.zeros(made.n_parameters))
+    _, by_value = made.reading_design(sightings.ideal_raw_readings, np.zeros(made.n_parameters))
     arm = sightings.target_points[sightings.target] - sightings.station_positions[sightings.station]
     pose = np.zeros((count, 3, STATIONS, 6))
     pose[each, :, sightings.station, :3] = -sightings.target_derivatives

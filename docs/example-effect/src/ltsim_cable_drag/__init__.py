@@ -29,5 +29,5 @@ class CableDrag(Effect):
 
     def design(self, sightings):
         """Change (n, 3, 1) of the raw readings per unit: minus the correction."""
-        turned = self.pointing_indicator(sightings) * sightings.raw_readings[:, 1]
+        turned = self.pointing_indicator(sightings) * sightings.ideal_raw_readings[:, 1]
         return design_from_front_face_corrections(sightings, azimuth=turned[:, None])
