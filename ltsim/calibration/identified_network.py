@@ -12,7 +12,7 @@ from ltsim.adjustment.identification import (
     cause_tests,
     identify_causes,
 )
-from ltsim.adjustment.identification.cause_tests import cause_sentence
+from ltsim.adjustment.identification.cause_sentences import cause_sentence
 from ltsim.adjustment.identification.recommendations import corrected_faults, corrections_sentence
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.quality import require_usable_adjustment

@@ -52,10 +52,6 @@ MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
 """Ratio below which the exchange of two reference points is a hypothesis: misclosure of all reference points after this
 exchange, divided by the smaller of the misclosures without an exchange and after any other exchange.
 """
-MIN_POINTINGS_PER_SEATING = 2
-"""Smallest number of pointings of a target from a station for a test of a badly seated reflector; the errors of a single
-pointing are outliers.
-"""
 PlaceKind = Literal["station", "target", "instrument", "sight"]
 """Kind of place of a shift of readings: one station, one target, all stations of an instrument, or one target as it is
 measured from one station."""
@@ -144,17 +140,18 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
                 places.append(ShiftPlace(stations if len(rows) < len(order) else (), (), rows))
         return places
     n_targets = len(sightings.target_names)
-    index, places_by_index = {
+    places_by_kind: dict[PlaceKind, tuple[Ints, list[tuple[tuple[str, ...], tuple[str, ...]]]]] = {
         "station": (sightings.station, [((name,), ()) for name in sightings.station_names]),
         "target": (sightings.target, [((), (name,)) for name in sightings.target_names]),
         "sight": (
             sightings.station * n_targets + sightings.target,
             [((s,), (t,)) for s in sightings.station_names for t in sightings.target_names],
         ),
-    }[place_kind]
+    }
+    index, places_by_index = places_by_kind[place_kind]
     order = order[np.argsort(index[order], kind="stable")]
     edges = np.searchsorted(index[order], np.arange(len(places_by_index) + 1))
-    min_pointings = MIN_POINTINGS_PER_SEATING if place_kind == "sight" else 1
+    min_pointings = 2 if place_kind == "sight" else 1  # errors of a single pointing are outliers
     return [
         ShiftPlace(stations, targets, order[edges[i] : edges[i + 1]])
         for i, (stations, targets) in enumerate(places_by_index)
