@@ -163,7 +163,7 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """Plan from a search for a layout; during the search the best layout so far is printed and written."""
     from ltsim.planning.plan_search import SearchCallbacks
-    from ltsim.planning.result import copy_cad_files, load_plan_and_scenario, with_layout
+    from ltsim.planning.result import load_plan_and_scenario, with_cad_file_copies, with_layout
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
@@ -174,7 +174,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
     def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored_scenario, cad_files = copy_cad_files(with_layout(scenario, survey))
+            stored_scenario, cad_files = with_cad_file_copies(with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad_files, BEST_LAYOUT_FILE: scenario_to_toml(stored_scenario)})
             except RecordError as problem:

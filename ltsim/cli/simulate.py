@@ -51,7 +51,7 @@ NominalFileOption = Annotated[
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
     COMPARED_FILE_OUTPUT,
 ]
-NewPositionsOption = Annotated[
+PositionsPerTrialOption = Annotated[
     bool,
     typer.Option(
         "--per-trial", help="Draw new positions of stations and targets, as in a campaign with geometry per trial."
@@ -92,7 +92,7 @@ def simulate(
     out: RecordingFolderOption = None,
     truth: TruthFileOption = None,
     nominal: NominalFileOption = None,
-    per_trial: NewPositionsOption = False,
+    per_trial: PositionsPerTrialOption = False,
     show: ShowScenarioOption = False,
     force: ForceOption = False,
     *,
