@@ -212,7 +212,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""
-DEMO_CAMPAIGN = """format = "ltsim-campaign/1"
+DEMO_CAMPAIGN_TEMPLATE = """format = "ltsim-campaign/1"
 title = "Calibrations of drawn instruments in the paper's workshop"
 scenario = "paper-workshop"
 seed = {seed}
@@ -297,7 +297,7 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
     """
     from ltsim.reports.sections.campaign import campaign_section
 
-    write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
+    write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN_TEMPLATE.format(seed=seed)})
     results = lt.campaign(demo_folder / "campaign.toml", force=True)
     write_texts(demo_folder / "campaign", {"summary.csv": results.table("summary").csv_text()})
     return campaign_section(demo_folder / "campaign").summary

@@ -195,7 +195,7 @@ class _Epoch:
     """Coordinates of the points, shape (points, 3) [m]."""
     covariance: Floats
     """Joint covariance of the compared coordinates of all points, shape (coordinates, coordinates) [m^2]."""
-    shifts_per_common_error: Floats
+    displacements_per_common_error: Floats
     """Displacements by one standard deviation of each error that both epochs may share, (coordinates, errors) [m]."""
     free_motions: Floats
     """Coefficients (6, motions) of undetermined motions: three translations, then three rotations about the origin."""
@@ -244,7 +244,7 @@ class _Epoch:
             self,
             points=self.points[point_order],
             covariance=covariance,
-            shifts_per_common_error=self.shifts_per_common_error[row_indices],
+            displacements_per_common_error=self.displacements_per_common_error[row_indices],
         )
 
 
@@ -301,10 +301,10 @@ def _epoch_difference(
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first_epoch.shifts_per_common_error @ second_epoch.shifts_per_common_error.T @ big.T
+    shared = first_epoch.displacements_per_common_error @ second_epoch.displacements_per_common_error.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
-    motions = motions @ _motions_about_centre(free, centre) if free.shape[1] else motions[:, :0]
+    motions = motions @ _motions_with_rotations_about_centre(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
     motions = motions[:, np.linalg.norm(motions, axis=0) > MAX_ROUNDING_ERROR * np.abs(before - centre).max()]
     if motions.shape[1]:
@@ -317,7 +317,7 @@ def _epoch_difference(
     )
 
 
-def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
+def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -> Floats:
     """Coefficients (6, free motions) of motions whose rotations are about `centre` instead of the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T

@@ -154,7 +154,7 @@ def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[M
 
 TRIALS_PER_BATCH = 10_000
 """Number of trials in a batch; the stability of the results is checked after each batch."""
-MIN_TOLERANCE_TO_ERROR_RATIO = 5.0
+MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO = 5.0
 """Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
 101, clause 8.2)."""
 INTEGRATION_STEP = 0.05
@@ -233,7 +233,7 @@ def run_monte_carlo(
     power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear_uncertainty.values)), np.inf)
-    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
+    while len(samples) < max_batches and not np.all(MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
         shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
         by_line = (
             linear_uncertainty.values

@@ -245,7 +245,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
     """
     normal, aimed = (
         best_nest_normals(survey.station_positions, survey.target_points)[0],
-        _is_aimed(search_space, survey),
+        _is_aimed_nest(search_space, survey),
     )
     table = compute_visibility(
         survey.station_positions,
@@ -260,7 +260,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
     return table.with_marginal_pairs(~search_space.is_visible(survey.station_positions, survey.target_points))
 
 
-def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
+def _is_aimed_nest(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
     """Flags (T,): True for a target in a fixed nest without a declared normal, which is aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
@@ -270,7 +270,7 @@ def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
     """Survey whose set-up declares the normals of fixed nests, aimed at the stations of the survey."""
     targets, normals = dict(survey.setup.targets), best_nest_normals(survey.station_positions, survey.target_points)[0]
-    for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
+    for at in np.flatnonzero(_is_aimed_nest(search_space, survey)).tolist():
         name = survey.target_names[at]
         aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}
         targets[name] = targets.get(name, Target()).model_copy(update=aim)

@@ -102,7 +102,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     if not plan.station_count_results:
         return []
     *fewer, last = plan.station_count_results
-    outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
+    outcomes = _station_count_clauses(fewer, plan.search_space.min_sights)
     meets_tolerance = last.max_tolerance_ratio is not None and is_tolerance_met(last.max_tolerance_ratio)
     n_stations = len(plan.layout.survey.station_positions)
     sentences = (
@@ -120,7 +120,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
             if last.n_stations < plan.plan_file.stations.max_count:
                 sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
-        outcomes = _count_result_clauses(plan.station_count_results, plan.search_space.min_sights)
+        outcomes = _station_count_clauses(plan.station_count_results, plan.search_space.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
     return [
         *sentences,
@@ -128,7 +128,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
+def _station_count_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; numbers with the same result share a clause.
 
     `min_stations` is the number of stations that must see each point.

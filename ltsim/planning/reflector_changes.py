@@ -122,7 +122,7 @@ def evaluate_reflector_changes(
         ReflectorPlaces.from_search_space(search_space, survey, is_fixed, objective, construction),
         objective,
         search_space.min_reflector_spacing,
-    ).evaluate_all()
+    ).evaluate_changes()
 
 
 class _ChangeEvaluator:
@@ -180,7 +180,7 @@ class _ChangeEvaluator:
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
 
-    def evaluate_all(self) -> ReflectorChanges:
+    def evaluate_changes(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
         terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ReflectorChangeResult]] = {what: [] for what in CHANGE_KINDS}
@@ -215,13 +215,13 @@ class _ChangeEvaluator:
         for what, made in candidates.items():
             best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
             reported += [
-                self._make_change(what, *change)
+                self._change_entry(what, *change)
                 for change in best
                 if what == "remove" or change[0] < 1 - MIN_REPORTED_IMPROVEMENT
             ]
         return ReflectorChanges(tuple(reported), tried, helped)
 
-    def _make_change(
+    def _change_entry(
         self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
     ) -> ReflectorChangeEntry:
         present_indices = self.present_place_indices

@@ -95,7 +95,7 @@ class LayoutSearcher:
         """
         key = station_index if self.objective.effects else 0
         if key not in self._grid_tables:
-            places, visible = self.placement.candidate_positions, self.placement.is_visible
+            places, visible = self.grid_placement.candidate_positions, self.grid_placement.is_visible
             whole = self.search_space.min_sights >= self.n_stations
             is_permitted = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
             if not is_permitted.any():
@@ -109,13 +109,13 @@ class LayoutSearcher:
         return self._grid_tables[key]
 
     @cached_property
-    def placement(self) -> StationPlacement:
+    def grid_placement(self) -> StationPlacement:
         """Candidate positions of stations on the grid, with the targets visible from each."""
         return self.search_space.candidate_placement(self.grid_step, self.n_heights)
 
     def _invisible_targets_sentence(self) -> str:
         """Sentence on targets that no grid position sees, or on the target that the fewest grid positions see."""
-        share = self.placement.is_visible.mean(axis=0)
+        share = self.grid_placement.is_visible.mean(axis=0)
         if not share.all():
             return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
         worst_target = self.search_space.survey.target_names[int(np.argmin(share))]
@@ -274,7 +274,7 @@ class LayoutSearcher:
         Of `MAX_RANDOM_LAYOUTS` draws the first that determines all poses and targets is used, otherwise the last that
         meets the rules. Raises InputError, with the targets that lack sights, if no draw meets them.
         """
-        survey, free, places = self.search_space.survey, self._movable_stations, self.placement
+        survey, free, places = self.search_space.survey, self._movable_stations, self.grid_placement
         tables = {station_index: self.grid_setup_blocks(station_index) for station_index in free}
         lacking = ""
         loose: NormalBlocks | None = None

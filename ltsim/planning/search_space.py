@@ -160,7 +160,7 @@ class SearchSpace(ValueEquality):
         is_feasible &= ~station_has_too_few_targets(is_visible).any(axis=1)
         is_feasible &= ~are_stations_too_near(position, self.min_station_spacing).any(axis=(1, 2))
         if self.is_aimed_nest.any() and is_feasible.any():
-            is_feasible[is_feasible] = self._has_aimable_nest(position[is_feasible]).all(axis=1)
+            is_feasible[is_feasible] = self._is_aimable_nest(position[is_feasible]).all(axis=1)
         return is_feasible
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
@@ -208,7 +208,7 @@ class SearchSpace(ValueEquality):
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
             turned = [
                 name
-                for name, ok in zip(aimed, self._has_aimable_nest(survey.station_positions[None])[0], strict=True)
+                for name, ok in zip(aimed, self._is_aimable_nest(survey.station_positions[None])[0], strict=True)
                 if not ok
             ]
             if turned:
@@ -227,7 +227,7 @@ class SearchSpace(ValueEquality):
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
-    def _has_aimable_nest(self, position: Floats) -> Bools:
+    def _is_aimable_nest(self, position: Floats) -> Bools:
         """Flags (B, k): True for each of k fixed nests that can be aimed so that it accepts the beams of all stations.
 
         `position` (B, S, 3) [m] are the S stations of B layouts.
@@ -264,7 +264,7 @@ class SearchSpace(ValueEquality):
             else ""
         )
 
-    def grid_places(self, step: float, n_heights: int) -> Floats:
+    def grid_station_positions(self, step: float, n_heights: int) -> Floats:
         """Positions (N, 3) [m] of N grid points where a tripod may stand; `step` [m] is the horizontal step.
 
         Each point of the horizontal grid has `n_heights` heights.
@@ -279,7 +279,7 @@ class SearchSpace(ValueEquality):
         position.
         """
         places, fixed = (
-            self.grid_places(step, n_heights),
+            self.grid_station_positions(step, n_heights),
             self.survey.station_positions[list(self.fixed_station_indices)],
         )
         visible = self.is_visible(places)

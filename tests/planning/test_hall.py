@@ -351,7 +351,7 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
         StationCountResult(4, None, False, "M2"),
         StationCountResult(5, 1.2, True),
     ]
-    assert reasons._count_result_clauses(tried, 2) == [
+    assert reasons._station_count_clauses(tried, 2) == [
         "3 to 4 stations: no layout has every point in sight of 2 stations (the closest layout lacks sights of M2)",
         "5 stations: the best layout has an error of 1.2 times its tolerance",
     ]

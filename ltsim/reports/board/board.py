@@ -119,7 +119,7 @@ class MovableLayout:
         These are P grid positions with enough visible targets.
         """
         search = self.plan_file.search
-        places = self.search_space.grid_places(
+        places = self.search_space.grid_station_positions(
             grid_step(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
