@@ -38,7 +38,10 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
     site = make_search_space(file, scenario, n_stations=file.stations.count, n_faces=scenario.work.faces)
     search = LayoutSearcher(site, layout_objective(file, site.survey))
     corners = np.vstack(
-        [search.grid_setups(0).setup_positions.min(axis=0), search.grid_setups(0).setup_positions.max(axis=0)]
+        [
+            search.grid_setup_blocks(0).setup_positions.min(axis=0),
+            search.grid_setup_blocks(0).setup_positions.max(axis=0),
+        ]
     )
     rng, values, best = random_stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
     while len(values) < count:

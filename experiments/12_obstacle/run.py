@@ -32,7 +32,7 @@ def row(name: str, scenario: Scenario, survey: PlannedSurvey) -> Row:
         "sights_lost": int((~survey.is_visible).sum()),
         "D": round(float(d_criterion(information.scaled_covariance)), 4),
         "target_rms_um": round(information.target_rms / MICROMETRE, 2),
-        "largest_target_um": round(float(information.target_sigmas.max()) / MICROMETRE, 2),
+        "largest_target_um": round(float(information.target_point_errors.max()) / MICROMETRE, 2),
     }
 
 

@@ -56,7 +56,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     inputs = TaskInputs.from_recording(truth.recording, told)
     measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
-    points = inputs.point_source.state.target_points
+    points = inputs.network_or_coordinates.state.target_points
     return propagate(inputs, measurands, thermal_expansion_of_part(None)), names, points
 
 

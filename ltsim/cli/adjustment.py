@@ -227,7 +227,7 @@ def read_calibration_with_notes(terminal: Terminal, path: Path) -> Calibration:
 FailOnMismatchOption = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 if recording and model disagree (for CI).")
 ]
-HeldOutTestOption = Annotated[
+HeldOutErrorOption = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
@@ -240,7 +240,7 @@ HeldOutTestOption = Annotated[
 
 def diagnose(
     source: RecordingArgument,
-    held_out: HeldOutTestOption = None,
+    held_out: HeldOutErrorOption = None,
     fail_on_mismatch: FailOnMismatchOption = False,
     *,
     reading_options: ReadingOptionsWithFrame,

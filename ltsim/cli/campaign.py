@@ -142,7 +142,7 @@ JunitFileOption = Annotated[
     typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."),
     FILE_OUTPUT,
 ]
-ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
+TRUE_ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
 """Text on the origin of the true instrument errors, by the field `error_origin` of a recovery."""
 MIN_PARALLEL_TRIALS = 100
 """Number of trials below which one process is used by default, since it is faster than several."""
@@ -194,7 +194,7 @@ def recover(
     false_alarm_text = (
         "" if result.tolerances or len(result.unchecked_parameters) == len(result.parameters) else chance_text
     )
-    trials_text = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.error_origin]}"
+    trials_text = f"{result.trials} trials, errors {TRUE_ERROR_ORIGIN_TEXTS[result.error_origin]}"
     terminal.print_text(f"{trials_text}: {result.verdict_text()}{false_alarm_text}")
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.examples import example_text
+from ltsim.cli.examples import example_file_content
 from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import InputError, NetworkError, RecordError
@@ -173,7 +173,7 @@ def accept(
     Example: ltsim accept my-tracker.toml --out acceptance
     """
     if show:
-        print(example_text("acceptance.toml"), end="")
+        print(example_file_content("acceptance.toml"), end="")
         return 0
     if file is None:
         raise InputError("ltsim accept needs a FILE; ltsim accept --show prints a template")
@@ -209,7 +209,7 @@ LaterRecordingArgument = Annotated[
     Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")
 ]
 TaskFileArgument = Annotated[Path | None, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
-TaskSourceOption = Annotated[
+SourceOverrideOption = Annotated[
     str | None, typer.Option("--source", metavar="REC", help="Recording or scenario in place of the source in FILE.")
 ]
 ComparedResultsOption = Annotated[
@@ -267,7 +267,7 @@ def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | P
 
 def uncertainty(
     file: TaskFileArgument = None,
-    source: TaskSourceOption = None,
+    source: SourceOverrideOption = None,
     against: ComparedResultsOption = None,
     show: ShowTemplateOption = False,
     *,
@@ -282,7 +282,7 @@ def uncertainty(
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
     if show:
-        print(example_text("uncertainty.toml"), end="")
+        print(example_file_content("uncertainty.toml"), end="")
         return 0
     if file is None:
         raise InputError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
@@ -296,7 +296,7 @@ def uncertainty(
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
     seed = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
-    recording = _recording_of_tasks(terminal, tasks, file, seed, source_is_in_file=source is None)
+    recording = _data_of_tasks(terminal, tasks, file, seed, source_is_in_file=source is None)
     with terminal.show_progress("drawing trials"):
         content = lt.uncertainty(recording, tasks, **options)
     comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
@@ -322,7 +322,7 @@ def uncertainty(
     return int(any(r.conformity is not None and r.conformity.judgement != "accepted" for r in content.results))
 
 
-def _recording_of_tasks(
+def _data_of_tasks(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
     """Data that the tasks evaluate: recording, simulated recording of a scenario, list of coordinates, or its path.

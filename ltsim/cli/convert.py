@@ -19,12 +19,14 @@ from ltsim.cli.terminal import Terminal
 from ltsim.recordings import FORMATS
 from ltsim.recordings.summary import recording_summary
 
-WRITABLE_FORMATS = ", ".join(f.name for f in FORMATS if f.write is not None)
+WRITABLE_FORMATS_TEXT = ", ".join(f.name for f in FORMATS if f.write is not None)
 """Names of the formats that ltsim writes, separated by commas."""
 
 InputArgument = Annotated[Path, typer.Argument(metavar="IN", help="A recording in any format that ltsim reads.")]
 OutputArgument = Annotated[Path, typer.Argument(metavar="OUT", help="File or folder to write."), FILE_OR_FOLDER_OUTPUT]
-OutputFormatOption = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE_FORMATS}.")]
+OutputFormatOption = Annotated[
+    str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE_FORMATS_TEXT}.")
+]
 
 
 def convert(

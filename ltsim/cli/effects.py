@@ -30,7 +30,7 @@ CONVENTIONS_TEXT = (
     "between the residuals that two effects cause in the reference workshop. Two numbers are for measurements in one\n"
     "face and in two faces, as in (0.46, 0.95)."
 )
-"""Definition of the symbols in the equations of the catalogue."""
+"""Explanation of the signs, symbols and correlations in a catalogue entry, printed at its end."""
 
 
 def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
@@ -51,12 +51,14 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
     width = max(len(effect.name) for effect in listed.descriptions)
     groups = groupby(listed.descriptions, lambda effect: effect.group)
     terminal.print_text(
-        "\n\n".join("\n".join([group, *(_list_line(effect, width) for effect in members)]) for group, members in groups)
+        "\n\n".join(
+            "\n".join([group, *(_effect_list_line(effect, width) for effect in members)]) for group, members in groups
+        )
     )
     terminal.print_text(f"\n{len(entries)} effects. Details of an effect: ltsim effects NAME")
 
 
-def _list_line(effect: EffectDescription, name_width: int) -> str:
+def _effect_list_line(effect: EffectDescription, name_width: int) -> str:
     """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
     origin = f" [{effect.external_provider}]" if effect.external_provider else ""
     return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"

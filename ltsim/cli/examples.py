@@ -33,7 +33,7 @@ EXAMPLE_COMMANDS = {
 """Example files, each with a command to try; a file without a command is an input of the previous command."""
 
 
-def example_text(name: str) -> str:
+def example_file_content(name: str) -> str:
     """Content of an example file."""
     if name == "workshop.toml":
         return builtin_text("paper-workshop")
@@ -54,7 +54,7 @@ def examples(
     for name in EXAMPLE_COMMANDS:
         COMPARED_FILE_OUTPUT.check(folder / name, force)
     write_outputs(
-        {folder / name: partial(write_text, text=example_text(name)) for name in EXAMPLE_COMMANDS}, force=force
+        {folder / name: partial(write_text, text=example_file_content(name)) for name in EXAMPLE_COMMANDS}, force=force
     )
     terminal.print_json(
         {

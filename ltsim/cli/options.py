@@ -159,7 +159,7 @@ class ReadingOptionsWithFrame(ReadingOptionsWithControl):
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
         """Recording at `path`, with its datum in the frame of the file `frame` if it is given; raises RecordError."""
         recording = super().read(path, is_growing=is_growing)
-        return recording if self.frame is None else with_axes_of_frame(recording, self.frame)
+        return recording if self.frame is None else with_datum_in_frame(recording, self.frame)
 
 
 def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -184,7 +184,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
             ]
         else:
             parameters.append(_keyword_parameter(key, hints[key], parameter.default))
-    outputs = list(_output_options(parameters))
+    outputs = list(_output_option_checks(parameters))
     following = ("out", *ReadingOptions.__dataclass_fields__)  # the options of the function come before these
     index = next((i for i, p in enumerate(parameters) if p.name in following), len(parameters))
     parameters[index:index] = [option.typer_parameter for option in api_options]
@@ -204,7 +204,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
     return run
 
 
-def _output_options(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputKind]]:
+def _output_option_checks(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputKind]]:
     """Name, flag (or placeholder of an argument) and check of each parameter that names an output."""
     for option in parameters:
         places: list[Any] = [item for item in get_args(option.annotation)[1:] if isinstance(item, OutputKind)]
@@ -379,7 +379,7 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
             yield name.strip(), (docstring_type, " ".join(text.split()))
 
 
-def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
+def with_datum_in_frame(recording: Recording, frame: Path) -> Recording:
     """Recording with its datum in the frame of a file or of a built-in scenario; raises RecordError, InputError."""
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points

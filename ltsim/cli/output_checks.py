@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace existing files, also those that this command did not write.")
 ]
-GENERATOR_TAG = '<meta name="generator" content="ltsim'
+PAGE_GENERATOR_TAG = '<meta name="generator" content="ltsim'
 """Text by which a page written by ltsim is recognised."""
 MAX_SEARCHED_BYTES = 4096
 """Number of bytes at the beginning of a file that are searched for the text by which ltsim recognises its files."""
-LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR_TAG)}')
+LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(PAGE_GENERATOR_TAG)}')
 """Pattern at the beginning of a file of ltsim, written by a command or by a user."""
 
 
@@ -155,22 +155,22 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
     An existing recording or file stays if it has the same content, and is replaced only with `force`. If an existing
     one has another content, nothing is written and RecordError is raised.
     """
-    same_contents = {} if force else {path: _compare_content(path, write) for path, write in outputs.items()}
+    same_contents = {} if force else {path: _unchanged_output(path, write) for path, write in outputs.items()}
     return [
         write(path) if (same := same_contents.get(path)) is None else same.returned_value
         for path, write in outputs.items()
     ]
 
 
-class _SameContent(NamedTuple):
+class _UnchangedOutput(NamedTuple):
     """Marker for an output that exists already with the content to be written, so that nothing is written."""
 
     returned_value: Any
     """Value that the writing function returned."""
 
 
-def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent | None:
-    """Return value of `write` if the output exists with the same content; None if the output does not exist.
+def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOutput | None:
+    """Marker with the return value of `write` if the output exists with the same content; None for a new output.
 
     RecordError is raised if the output exists with another content.
     """
@@ -188,7 +188,7 @@ def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent |
             return None
         try:
             if existing == written and all(read_whole_file(path / p) == read_whole_file(copy / p) for p in written):
-                return _SameContent(returned_value)
+                return _UnchangedOutput(returned_value)
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=problem.filename) from None
     if path.is_file():
@@ -221,7 +221,7 @@ def check_new_file(file: Path, force: bool) -> None:
         return
     if file.is_file() and file.suffix == ".html":
         with open_for_reading(file) as stream:
-            if GENERATOR_TAG.encode() in stream.read(MAX_SEARCHED_BYTES):
+            if PAGE_GENERATOR_TAG.encode() in stream.read(MAX_SEARCHED_BYTES):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
 

@@ -57,7 +57,7 @@ BlockedStationOption = Annotated[
         "--without", metavar="STATION", help="List other positions for a station, with the other stations fixed."
     ),
 ]
-BEST_LAYOUT_FILE = "best-so-far.toml"
+BEST_LAYOUT_SO_FAR_FILE = "best-so-far.toml"
 """Name of the scenario file with the best layout so far, which exists only during a search."""
 FLOOR_PLAN_FILE = "floor.png"
 """Name of the picture of the floor plan."""
@@ -163,7 +163,7 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """Plan from a search for a layout; during the search the best layout so far is printed and written."""
     from ltsim.planning.plan_search import SearchCallbacks
-    from ltsim.planning.result import copy_cad_files, load_plan_and_scenario, with_layout
+    from ltsim.planning.result import load_plan_and_scenario, with_cad_file_copies, with_layout
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
@@ -174,9 +174,9 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
     def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored_scenario, cad_files = copy_cad_files(with_layout(scenario, survey))
+            stored_scenario, cad_files = with_cad_file_copies(with_layout(scenario, survey))
             try:
-                write_texts(folder, {**cad_files, BEST_LAYOUT_FILE: scenario_to_toml(stored_scenario)})
+                write_texts(folder, {**cad_files, BEST_LAYOUT_SO_FAR_FILE: scenario_to_toml(stored_scenario)})
             except RecordError as problem:
                 terminal.print_note(f"the best layout so far was not written: {problem}")
 
@@ -187,7 +187,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
             callbacks=SearchCallbacks(_percent_callback(advance), terminal.print_unbuffered, write_best_layout),
         )
     if folder is not None:
-        (folder / BEST_LAYOUT_FILE).unlink(missing_ok=True)
+        (folder / BEST_LAYOUT_SO_FAR_FILE).unlink(missing_ok=True)
     return plan_result
 
 

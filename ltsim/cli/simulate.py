@@ -51,7 +51,7 @@ NominalFileOption = Annotated[
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
     COMPARED_FILE_OUTPUT,
 ]
-NewPositionsOption = Annotated[
+PositionsPerTrialOption = Annotated[
     bool,
     typer.Option(
         "--per-trial", help="Draw new positions of stations and targets, as in a campaign with geometry per trial."
@@ -92,7 +92,7 @@ def simulate(
     out: RecordingFolderOption = None,
     truth: TruthFileOption = None,
     nominal: NominalFileOption = None,
-    per_trial: NewPositionsOption = False,
+    per_trial: PositionsPerTrialOption = False,
     show: ShowScenarioOption = False,
     force: ForceOption = False,
     *,
@@ -212,7 +212,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""
-DEMO_CAMPAIGN = """format = "ltsim-campaign/1"
+DEMO_CAMPAIGN_TEMPLATE = """format = "ltsim-campaign/1"
 title = "Calibrations of drawn instruments in the paper's workshop"
 scenario = "paper-workshop"
 seed = {seed}
@@ -297,7 +297,7 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
     """
     from ltsim.reports.sections.campaign import campaign_section
 
-    write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
+    write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN_TEMPLATE.format(seed=seed)})
     results = lt.campaign(demo_folder / "campaign.toml", force=True)
     write_texts(demo_folder / "campaign", {"summary.csv": results.table("summary").csv_text()})
     return campaign_section(demo_folder / "campaign").summary

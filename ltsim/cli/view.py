@@ -28,7 +28,7 @@ def check_page_folder(folder: Path, force: bool) -> None:
 ViewSourceArgument = Annotated[
     str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
 ]
-MovedPlanOption = Annotated[
+PlanToMoveOption = Annotated[
     str | None,
     typer.Option(
         "--plan", metavar="FILE", help="Move the stations of a plan file, or of a plan's folder, in the browser."
@@ -66,7 +66,7 @@ DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", 
 
 def view(
     place: ViewSourceArgument = None,
-    plan: MovedPlanOption = None,
+    plan: PlanToMoveOption = None,
     png: PictureFileOption = None,
     html: PageFileOption = None,
     *,
@@ -114,7 +114,7 @@ def view(
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
     """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
-    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files
+    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, with_cad_file_copies
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
@@ -122,7 +122,7 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
         check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
         requests = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
-        for name in copy_cad_files(requests.layout.scenario)[1]:
+        for name in with_cad_file_copies(requests.layout.scenario)[1]:
             check_new_file(result_folder / name, force)
 
     def announce(address: str) -> None:

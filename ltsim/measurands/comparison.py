@@ -122,7 +122,7 @@ class Comparison(ResultFile):
         ]
 
     @property
-    def faults(self) -> list[CauseTest]:
+    def corrected_faults(self) -> list[CauseTest]:
         """Errors of both recordings that the model corrects."""
         return corrected_faults((*self.tests, *self.second_tests))
 
@@ -135,7 +135,7 @@ class Comparison(ResultFile):
         return tuple(d.target for d in self.displacements if d.moved)
 
 
-def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
+def coordinate_indices(points: Sequence[int] | Ints, n_axes: int) -> Ints:
     """Indices of the coordinates of `points` (point indices) in a vector that lists the coordinates point by point.
 
     `n_axes` is the number of coordinates per point.
@@ -157,10 +157,10 @@ class EpochDifference:
     """Differences of the coordinates, second minus first epoch, point by point, shape (coordinates,) [m]."""
     covariance: Floats
     """Covariance of the coordinate differences, shape (coordinates, coordinates) [m^2]."""
-    free_motions: Floats
+    displacements_per_free_motion: Floats
     """Displacements of the points by a unit of each free motion, shape (coordinates, free motions). Free motions are
     the rigid motions of all points that an epoch does not determine."""
-    compared_axes: Ints
+    axis_indices: Ints
     """Indices of the compared coordinate axes; 0 is x."""
     first_epoch_points: Floats
     """Coordinates of the points in the first epoch, shape (points, 3) [m]."""
@@ -175,16 +175,16 @@ class EpochDifference:
     @property
     def dof(self) -> int:
         """Degrees of freedom of the global test: coordinate differences minus free motions."""
-        return len(self._whitening_root) - self.free_motions.shape[1]
+        return len(self._whitening_root) - self.displacements_per_free_motion.shape[1]
 
-    def chi2_of_point(self, point: int) -> float | None:
+    def chi2_of_single_point(self, point: int) -> float | None:
         """Chi-square of the coordinate difference of the point with index `point`, from this point alone.
 
         The result is None if the epochs have separate frames, because one point then determines no difference.
         """
-        if self.free_motions.shape[1]:
+        if self.displacements_per_free_motion.shape[1]:
             return None
-        point_rows = coordinate_rows([point], len(self.compared_axes))
+        point_rows = coordinate_indices([point], len(self.axis_indices))
         return float(
             self.coordinate_differences[point_rows]
             @ np.linalg.solve(self.covariance[np.ix_(point_rows, point_rows)], self.coordinate_differences[point_rows])
@@ -200,8 +200,8 @@ class EpochDifference:
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
         """Whitened design matrix: columns of the free motions, then of the displacements of the `moved_points`."""
-        columns = np.eye(len(self.coordinate_differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
-        return self._whitening_root @ np.hstack([self.free_motions, columns])
+        columns = np.eye(len(self.coordinate_differences))[:, coordinate_indices(moved_points, len(self.axis_indices))]
+        return self._whitening_root @ np.hstack([self.displacements_per_free_motion, columns])
 
     def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
         """Weighted sum of squared differences after a fit of free motions and of displacements of `moved_points`."""
@@ -240,10 +240,10 @@ def congruence_test(
     statistic, dof, remaining = (
         difference.sum_of_squares(),
         difference.dof,
-        difference.dof - len(difference.compared_axes) * len(moved),
+        difference.dof - len(difference.axis_indices) * len(moved),
     )
     scale = (
-        float(difference.estimate_displacements(moved)[0][difference.free_motions.shape[1] - 1])
+        float(difference.estimate_displacements(moved)[0][difference.displacements_per_free_motion.shape[1] - 1])
         if difference.estimates_scale
         else None
     )
@@ -270,8 +270,12 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
     again, with the displacements of the other displaced points in the model.
     """
     moved_points: list[int] = []
-    limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
-    max_moved = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
+    limit = special.chdtri(len(difference.axis_indices), alpha / max(len(tested_indices), 1))
+    max_moved = max(
+        0,
+        difference.n_points
+        - (len(difference.axis_indices) if difference.displacements_per_free_motion.shape[1] else 0),
+    )
     while len(moved_points) < min(len(tested_indices), max_moved):
         now = difference.sum_of_squares(moved_points)
         rest = [p for p in tested_indices if p not in moved_points]
@@ -295,14 +299,14 @@ def _displacement_of_point(
     The displacements of `other_moved_points` (point indices) are in the model. The p-value is corrected for `n_tested`
     tested points. The detectable displacement refers to the significance level `alpha`.
     """
-    count, a = max(n_tested, 1), len(difference.compared_axes)
+    count, a = max(n_tested, 1), len(difference.axis_indices)
     others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
     drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
     needed = noncentrality(a, alpha=alpha / count)
     visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
-    shift[difference.compared_axes], covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = (
+    shift[difference.axis_indices], covariance[np.ix_(difference.axis_indices, difference.axis_indices)] = (
         values[-a:],
         joint[-a:, -a:],
     )
@@ -318,7 +322,7 @@ def _displacement_of_point(
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
         detectable_um=(float(visible[0]), float(visible[-1])),
-        point_chi2=difference.chi2_of_point(point),
+        point_chi2=difference.chi2_of_single_point(point),
     )
 
 

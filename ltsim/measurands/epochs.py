@@ -23,12 +23,7 @@ from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_nam
 from ltsim.core.notation import listing
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
-from ltsim.measurands.comparison import (
-    Comparison,
-    EpochDifference,
-    congruence_test,
-    coordinate_rows,
-)
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_indices
 from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observation_uncertainty_sources
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
@@ -149,19 +144,21 @@ def _compare_epochs(
     is_declared_stable: Bools,
     alpha: float,
     epoch_sources: tuple[SourceEntry, SourceEntry],
-    compared_axes: Ints = ALL_AXES,
+    axis_indices: Ints = ALL_AXES,
     notes: Sequence[str] = (),
 ) -> Comparison:
     """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions.
 
     The points in `stable_mask` define the frame; `is_declared_stable` is a mask of points declared stable by the user.
     """
-    gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
+    gap = _epoch_difference(first, second, with_scale, stable_mask, axis_indices)
     result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
     order = exchanged_name_order(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
+            _epoch_difference(
+                first, second.with_order(order, len(axis_indices)), with_scale, stable_mask, axis_indices
+            ),
             is_declared_stable,
             alpha,
             epoch_sources,
@@ -198,7 +195,7 @@ class _Epoch:
     """Coordinates of the points, shape (points, 3) [m]."""
     covariance: Floats
     """Joint covariance of the compared coordinates of all points, shape (coordinates, coordinates) [m^2]."""
-    shifts_per_common_error: Floats
+    displacements_per_common_error: Floats
     """Displacements by one standard deviation of each error that both epochs may share, (coordinates, errors) [m]."""
     free_motions: Floats
     """Coefficients (6, motions) of undetermined motions: three translations, then three rotations about the origin."""
@@ -230,7 +227,7 @@ class _Epoch:
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates, reduced to `point_names`, with the given free motions (6, motions)."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
-        row_indices = coordinate_rows(indices, len(coordinates.axes))
+        row_indices = coordinate_indices(indices, len(coordinates.axes))
         return cls(
             point_names,
             coordinates.points[indices],
@@ -239,15 +236,15 @@ class _Epoch:
             free_motions,
         )
 
-    def with_order(self, point_order: Ints, axes: int) -> Self:
-        """Epoch with reordered points: new point i is old point `point_order[i]`, with `axes` coordinates each."""
-        row_indices = coordinate_rows(point_order, axes)
+    def with_order(self, point_order: Ints, n_axes: int) -> Self:
+        """Epoch with reordered points: new point i is old point `point_order[i]`, with `n_axes` coordinates each."""
+        row_indices = coordinate_indices(point_order, n_axes)
         covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
             covariance=covariance,
-            shifts_per_common_error=self.shifts_per_common_error[row_indices],
+            displacements_per_common_error=self.displacements_per_common_error[row_indices],
         )
 
 
@@ -262,7 +259,7 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     if (
         earlier.gauge is not None
         and later.gauge is not None
-        and _certificate_lengths(earlier.gauge) == _certificate_lengths(later.gauge)
+        and _gauge_without_temperatures(earlier.gauge) == _gauge_without_temperatures(later.gauge)
     ):
         shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
         common += [
@@ -275,14 +272,14 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     return common
 
 
-def _certificate_lengths(gauge: LengthGauge) -> LengthGauge:
+def _gauge_without_temperatures(gauge: LengthGauge) -> LengthGauge:
     """Gauge with its certified lengths only, without the temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _align_epochs(
+def _epoch_difference(
     first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
     """Coordinate differences after alignment of the second epoch to the first by the free motions of both.
@@ -304,10 +301,10 @@ def _align_epochs(
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first_epoch.shifts_per_common_error @ second_epoch.shifts_per_common_error.T @ big.T
+    shared = first_epoch.displacements_per_common_error @ second_epoch.displacements_per_common_error.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
-    motions = motions @ _motions_about_centre(free, centre) if free.shape[1] else motions[:, :0]
+    motions = motions @ _motions_with_rotations_about_centre(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
     motions = motions[:, np.linalg.norm(motions, axis=0) > MAX_ROUNDING_ERROR * np.abs(before - centre).max()]
     if motions.shape[1]:
@@ -320,7 +317,7 @@ def _align_epochs(
     )
 
 
-def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
+def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -> Floats:
     """Coefficients (6, free motions) of motions whose rotations are about `centre` instead of the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
@@ -372,7 +369,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
     """
     if len(moved_points) < 2:
         return None
-    before = difference.first_epoch_points[moved_points][:, difference.compared_axes]
+    before = difference.first_epoch_points[moved_points][:, difference.axis_indices]
     after = before + difference.coordinate_differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)

@@ -17,7 +17,7 @@ from ltsim.measurands.propagation import (
     TRIALS_PER_BATCH,
     LinearUncertainty,
     MonteCarloUncertainty,
-    nonlinearity_differences,
+    max_nonlinearity_differences,
     propagate,
     run_monte_carlo,
     thermal_expansion_of_part,
@@ -96,12 +96,20 @@ class TaskEvaluation:
     @property
     def to_result(self) -> Uncertainty:
         """Result with values and uncertainties in the units of the tasks."""
-        point_source, network = self.inputs.point_source, self.inputs.network
-        if isinstance(point_source, EpochCoordinates):
-            source, frame, sigma0 = SourceEntry.from_coordinates(point_source), "that of the list of coordinates", None
+        network_or_coordinates, network = self.inputs.network_or_coordinates, self.inputs.network
+        if isinstance(network_or_coordinates, EpochCoordinates):
+            source, frame, sigma0 = (
+                SourceEntry.from_coordinates(network_or_coordinates),
+                "that of the list of coordinates",
+                None,
+            )
         else:
-            source = SourceEntry.from_recording(point_source.recording) if network is None else network.recording_entry
-            frame, sigma0 = frame_text(point_source), point_source.sigma0
+            source = (
+                SourceEntry.from_recording(network_or_coordinates.recording)
+                if network is None
+                else network.recording_entry
+            )
+            frame, sigma0 = frame_text(network_or_coordinates), network_or_coordinates.sigma0
         return Uncertainty(
             recording=source,
             title=self.tasks.title,
@@ -156,7 +164,7 @@ class TaskEvaluation:
         """
         change_by_target = {
             name: abs(float(self.linear_uncertainty.point_derivatives[result_index] @ moved)) / unit
-            for name, moved in self.inputs.rms_displacements_by_shared_air_error.items()
+            for name, moved in self.inputs.displacements_by_shared_air_error.items()
         }
         ranked = sorted(change_by_target, key=lambda name: -change_by_target[name])
         return tuple(
@@ -219,7 +227,7 @@ def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     stretch = thermal_expansion_of_part(tasks.part_expansion)
     linear = propagate(task_inputs, measurands, stretch)
     drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
-    gap = nonlinearity_differences(task_inputs, measurands, tasks.monte_carlo.seed)
+    gap = max_nonlinearity_differences(task_inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
     agrees = drawn.intervals_agree(linear, tasks.monte_carlo.coverage_probability)
     return TaskEvaluation(tasks, task_inputs, measurands, linear, drawn, agrees, curved)

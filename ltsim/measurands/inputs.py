@@ -51,7 +51,7 @@ CONTROL_SOURCE = "control points"
 """Name, in budgets, of the source of uncertainty from coordinates of control points."""
 PRIOR_SOURCE = "specification"
 """Name, in budgets, of the source of uncertainty from the prior of the instrument parameters."""
-CORRECTIONS_SOURCE = "plausible size of corrected errors"
+CORRECTED_ERRORS_SOURCE = "plausible size of corrected errors"
 """Name, in budgets, of the source of uncertainty from the weak prior of errors of the recording that the model
 corrects."""
 STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE: "what the maker guarantees"}
@@ -84,7 +84,7 @@ class UncertaintySource(ValueEquality):
 class TaskInputs(ValueEquality):
     """Points that tasks use, and the sources of their uncertainty."""
 
-    point_source: Adjustment | EpochCoordinates
+    network_or_coordinates: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
@@ -96,7 +96,7 @@ class TaskInputs(ValueEquality):
     """Sources of uncertainty of the points."""
     air_text: str = ""
     """Sentence part on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
-    rms_displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
+    displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
     """Displacement of the points, shape (coordinates,) [m], by one standard deviation of each error of the air that all
     stations share and that changes no residual, by the error's description. The sources do not include these errors."""
     network: IdentifiedNetwork | None = None
@@ -126,9 +126,9 @@ class TaskInputs(ValueEquality):
             replace(s, displacements_per_sigma=factor * _reduce_variates(s.displacements_per_sigma))
             for s in observation_uncertainty_sources(adjustment, reach)
         ]
-        observed += smr_uncertainty_sources(adjustment, reach)
+        observed += smr_radius_uncertainty_sources(adjustment, reach)
         further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        air = _air_uncertainty_of_budget(tasks, adjustment)
+        air = _air_uncertainty_without_declared_effects(tasks, adjustment)
         counted = relevant_air_uncertainty(adjustment, air)
         further += air_uncertainty_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
@@ -217,7 +217,7 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     finite = np.isfinite(adjustment.problem.effect_prior_sigmas[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
     if at:
-        reached[CORRECTIONS_SOURCE] = [point_derivatives[:at].T]
+        reached[CORRECTED_ERRORS_SOURCE] = [point_derivatives[:at].T]
     for error in model.nuisance_errors:
         count = len(error.parameters)
         reached.setdefault(error.parameters[0].description, []).append(point_derivatives[at : at + count].T)
@@ -225,7 +225,7 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     return [UncertaintySource(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
 
-def smr_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
+def smr_radius_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
 
     All pointings with an SMR share the error of its radius, which acts along the normals of the nests.
@@ -248,7 +248,7 @@ def smr_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -
     return sources
 
 
-def _air_uncertainty_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
+def _air_uncertainty_without_declared_effects(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
     """Uncertainty of the air for a budget, without the properties for which a task declares an effect."""
     declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}

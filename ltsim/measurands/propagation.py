@@ -49,7 +49,7 @@ def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> Therm
     )
 
 
-def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
+def length_ratio_sigmas(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
     """Name of each error of the part's thermal expansion, and change of the length ratio by its standard deviation."""
     error_sizes = [
         ("expansion of the part", thermal_expansion.ratio_change_per_coefficient_sigma),
@@ -111,7 +111,7 @@ def propagate(
         covariance += reached @ reached.T
         shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
         kinds[source.name] = source.evaluation_type
-    for name, sigma in expansion_errors(thermal_expansion):
+    for name, sigma in length_ratio_sigmas(thermal_expansion):
         reached = by_stretch * sigma
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
@@ -119,16 +119,16 @@ def propagate(
     return LinearUncertainty(result_values, covariance, shares, kinds, by_points, by_stretch)
 
 
-def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
     """Largest difference of each result between the exact and the linearised adjustment, shape (results,) [SI].
 
     Both adjustments are repeated with a few draws of noise from `seed`. The difference is zero for a list of
     coordinates, which has no readings.
     """
-    point_source = task_inputs.point_source
-    if isinstance(point_source, EpochCoordinates):
+    network_or_coordinates = task_inputs.network_or_coordinates
+    if isinstance(network_or_coordinates, EpochCoordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
-    recording, problem = point_source.recording, point_source.problem
+    recording, problem = network_or_coordinates.recording, network_or_coordinates.problem
     indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.is_used_reading, int(problem.is_used_reading.sum())
     largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
@@ -138,12 +138,12 @@ def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measu
         readings[used] += noise * problem.sigma[used]
         again = adjust_from_state(
             recording.with_readings(readings),
-            point_source.construction,
-            effects=point_source.effects,
+            network_or_coordinates.construction,
+            effects=network_or_coordinates.effects,
             sigma=problem.sigma,
             reading_mask=problem.is_used_reading,
-            start_state=point_source.state,
-            datum_names=point_source.datum.point_names if point_source.datum is not None else None,
+            start_state=network_or_coordinates.state,
+            datum_names=network_or_coordinates.datum.point_names if network_or_coordinates.datum is not None else None,
         )
         shift = (noise @ task_inputs.displacement_per_observation[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
@@ -154,7 +154,7 @@ def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measu
 
 TRIALS_PER_BATCH = 10_000
 """Number of trials in a batch; the stability of the results is checked after each batch."""
-MIN_TOLERANCE_TO_ERROR_RATIO = 5.0
+MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO = 5.0
 """Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
 101, clause 8.2)."""
 INTEGRATION_STEP = 0.05
@@ -233,7 +233,7 @@ def run_monte_carlo(
     power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear_uncertainty.values)), np.inf)
-    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
+    while len(samples) < max_batches and not np.all(MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
         shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
         by_line = (
             linear_uncertainty.values
@@ -273,7 +273,7 @@ def _draw_errors(
         rng = random_stream(seed, "uncertainty", key, i, batch_number)
         shift += draw_variates(rng, source.distribution, shape) @ source.displacements_per_sigma.T
     grown = np.zeros(TRIALS_PER_BATCH)
-    for name, sigma in expansion_errors(thermal_expansion):
+    for name, sigma in length_ratio_sigmas(thermal_expansion):
         grown += sigma * random_stream(seed, "uncertainty", name, batch_number).standard_normal(TRIALS_PER_BATCH)
     return shift, grown
 

@@ -64,7 +64,7 @@ HIDDEN_ERRORS_TABLE = Table(
         *text_columns(unit="unit of the change"),
     ),
 )
-NOT_INCLUDED_TEXT = "not included"
+HIDDEN_ERROR_TYPE_TEXT = "not included"
 """Text in the budget table for an error that is not part of the uncertainty."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 """Number that is not negative."""
@@ -226,7 +226,7 @@ class Uncertainty(ResultFile):
         return [head, *lines, *([self.corrections_text] if self.corrections_text else [])]
 
     @property
-    def has_faults(self) -> bool:
+    def has_faults_or_misfit(self) -> bool:
         """True if the model corrects errors of the recording, or if the readings contradict the model."""
         return self.uncertainty_factor > 1.0 or bool(corrected_faults(self.tests))
 
@@ -237,7 +237,7 @@ class Uncertainty(ResultFile):
             for r, p in budget_rows
         ]
         task_rows += [
-            (r.task, r.name, p.error_text, NOT_INCLUDED_TEXT, r.unit, None, p.result_change)
+            (r.task, r.name, p.error_text, HIDDEN_ERROR_TYPE_TEXT, r.unit, None, p.result_change)
             for r in self.results
             for p in r.hidden_errors
         ]

@@ -129,22 +129,22 @@ class LayoutInformation:
         )
 
     @cached_property
-    def target_sigmas(self) -> Floats:
+    def target_point_errors(self) -> Floats:
         """Point error (T,) [m] of each of the T targets: square root of the trace of its covariance matrix."""
         return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
     def target_rms(self) -> float:
         """Root mean square [m] of the point errors of all targets, each with equal weight."""
-        return float(np.sqrt(np.mean(self.target_sigmas**2)))
+        return float(np.sqrt(np.mean(self.target_point_errors**2)))
 
     @property
     def weighted_target_rms(self) -> float:
         """Weighted root mean square [m] of the point errors of all targets, with `PlannedSurvey.target_weights`."""
-        return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_sigmas**2)))
+        return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_point_errors**2)))
 
 
-PARAMETER_GROUPS = {
+ERROR_GROUP_BY_PRIOR_KIND = {
     None: "instrument",
     "angle": "angle errors",
     "offset": "offset errors",
@@ -156,7 +156,7 @@ RANGE_NOISE_GROUP = "range noise"
 """Name of the group of errors with the noise of ranges."""
 ANGLE_NOISE_GROUP = "angle noise"
 """Name of the group of errors with the noise of angles."""
-GAUGE_LENGTHS_GROUP = "gauge lengths"
+REFERENCE_LENGTHS_GROUP = "gauge lengths"
 """Name of the group of errors with the reference lengths of the gauge."""
 REFLECTORS_GROUP = "reflectors"
 """Name of the group of errors with the parameters of reflectors."""
@@ -248,11 +248,11 @@ class CriteriaPredictor:
         distance = [
             np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance_variances
         ]
-        coordinate = [_mean_length(square, spread) for spread in self.coordinate_covariances]
+        coordinate = [_mean_expected_vector_length(square, spread) for spread in self.coordinate_covariances]
         return ExpectedCriteria(distance[0], distance[1], coordinate[0], coordinate[1])
 
 
-def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
+def _mean_expected_vector_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
     """Mean (k,) of the expected lengths of C normally distributed vectors, for k sets of variance factors.
 
     The covariance of a vector is a sum over G groups of errors: `row_matrices` (C, G, 3, 3) hold the covariance by each
@@ -334,8 +334,10 @@ def _unit_error_displacements(
     second_response = first_response.copy()
     second_response[:, count + lengths : len(columns_used)] = 0.0
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
-    labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
-    labels += [PARAMETER_GROUPS[p.specified_quantity] for p in construction.parameters]
+    labels = (
+        np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [REFERENCE_LENGTHS_GROUP] * lengths
+    )
+    labels += [ERROR_GROUP_BY_PRIOR_KIND[p.specified_quantity] for p in construction.parameters]
     labels += [REFLECTORS_GROUP] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 

@@ -33,8 +33,8 @@ INTERNAL_LENGTH_UNIT = 1e-5
 """Unit [m, rad] of poses and targets in the normal equations, so that all columns have a similar norm."""
 
 
-def incidence_error_indicator(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Indicator (T,) of T targets: 1 if the reflector of a target has `incidence_errors`, otherwise 0.
+def incidence_error_flags(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
+    """Flags (T,) of T targets: 1 if the reflector of a target has `incidence_errors`, otherwise 0.
 
     `pointing_targets` (n,) are the indices of the targets of n pointings.
     """
@@ -84,7 +84,7 @@ class LayoutScorer:
         self._plumb_directions[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
         self.prior_sigma = problem.prior.sigma[0]
         self._incidence_errors = [
-            (e, incidence_error_indicator(e, pointings.target, len(survey.target_points)))
+            (e, incidence_error_flags(e, pointings.target, len(survey.target_points)))
             for e in problem.model.incidence_errors
         ]
         self._n_nuisances = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
@@ -98,12 +98,14 @@ class LayoutScorer:
         other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
         value_columns = np.concatenate([unknowns.effect_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
-        self._set_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
+        self._set_shared_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.is_recorded_observable
         self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _set_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
+    def _set_shared_blocks(
+        self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints
+    ) -> None:
         """Storage of the normal equations of gauge, control points, levels and priors, which all layouts share.
 
         `design` is whitened; its columns of T targets (T, 3), S poses (S, 6) and parameters are given by indices.
@@ -330,10 +332,10 @@ class LayoutScorer:
         The arguments are those of `squared_point_errors`.
         """
         variance = self.squared_point_errors(schur, inverses, coefficients, targets)
-        weight = self._target_weights[self.target_and_gauge_indices(targets)]
+        weight = self._target_weights[self.target_indices_with_gauge(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
-    def target_and_gauge_indices(self, targets: Ints) -> Ints:
+    def target_indices_with_gauge(self, targets: Ints) -> Ints:
         """Indices of the given targets and of the gauge targets: (1, n) for all layouts, or (B, n) for B layouts.
 
         `targets` are indices in the survey: (E,) for E targets, or (B, E) if they differ between B layouts.
@@ -360,7 +362,7 @@ class LayoutScorer:
         for g in range(gauge):
             carry[:, count + g, :, first_target_column + 3 * g : first_target_column + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
-            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.target_and_gauge_indices(targets)],
+            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.target_indices_with_gauge(targets)],
             (layouts, count + gauge, 3, self._n_free_motions),
         )
         # Inner constraints: the errors of each target without the rigid motion of all targets.

@@ -249,7 +249,7 @@ def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Seque
     _require_plausible_extent(points, scenario, file)
     require_small_grid(plan_file, scenario)
     n_stations = plan_file.stations.count or DEFAULT_STATION_COUNT
-    places = _initial_places(plan_file, scenario, n_stations)
+    places = _initial_station_positions(plan_file, scenario, n_stations)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)
@@ -313,7 +313,7 @@ def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
+def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
     """Initial positions (`n_stations`, 3) [m] of the stations in a hall.
 
     Each next station is at the grid point where it sees most targets that no earlier station sees. Raises InputError if

@@ -17,7 +17,7 @@ from ltsim.core.parallel import run_parallel
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, StationLayout
-from ltsim.planning.search_inputs import is_fixed_target, layout_objective, make_search_space
+from ltsim.planning.search_inputs import is_target_fixed_in_search, layout_objective, make_search_space
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -180,7 +180,7 @@ def search_from_start(
     """
     site, stays, seed = (
         problem.search_space(task),
-        is_fixed_target(problem.plan_file, problem.scenario),
+        is_target_fixed_in_search(problem.plan_file, problem.scenario),
         problem.plan_file.search.seed,
     )
     rounds, done = 1 if stays.all() else 1 + N_STATION_REFLECTOR_ALTERNATIONS, 0

@@ -11,7 +11,7 @@ from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
 from ltsim.planning.objective import TARGETS_QUALITY_NAME
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, is_tolerance_met, percent_text
+from ltsim.planning.tolerances import ToleranceCheck, is_tolerance_met, tolerance_ratio_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class PlannedReflectorEntry(Entry):
             cls(
                 name=name,
                 position_mm=to_millimetres(survey.target_points[t], 3),
-                sigma_um=round(float(information.target_sigmas[t]) / MICROMETRE, 2),
+                sigma_um=round(float(information.target_point_errors[t]) / MICROMETRE, 2),
                 U_um=tuple(np.round(expanded[t], 2).tolist()),
                 stations_seeing=int(survey.is_visible[:, t].sum()),
                 visible_from=tuple(survey.station_names[s] for s in np.flatnonzero(survey.is_visible[:, t])),
@@ -313,8 +313,8 @@ class LossCheckEntry(Entry):
         """Entry of the check of a layout after a loss."""
         return cls(
             lost_station_or_sight=check.loss_text,
-            tolerances_met=check.meets_all,
-            max_tolerance_ratio=check.max_ratio,
+            tolerances_met=check.meets_all_tolerances,
+            max_tolerance_ratio=check.max_tolerance_ratio,
             worst_point=check.worst_point_name,
             unseen_points=check.unseen_points,
         )
@@ -326,7 +326,7 @@ class LossCheckEntry(Entry):
         The text is "not determined" for undetermined points.
         """
         if self.max_tolerance_ratio is not None:
-            return percent_text(self.max_tolerance_ratio)
+            return tolerance_ratio_text(self.max_tolerance_ratio)
         return "" if self.unseen_points else "not determined"
 
 

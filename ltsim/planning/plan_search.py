@@ -23,7 +23,11 @@ from ltsim.planning.planner import (
     evaluate_plan,
     objective_and_qualities,
 )
-from ltsim.planning.required_sights import never_visible_text, placement_seeing_all_points, with_feasible_min_sights
+from ltsim.planning.required_sights import (
+    candidate_placement_seeing_all_points,
+    never_visible_text,
+    with_feasible_min_sights,
+)
 from ltsim.planning.search_inputs import (
     candidate_procedures,
     layout_objective,
@@ -32,7 +36,7 @@ from ltsim.planning.search_inputs import (
 )
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.tolerances import PointTolerances, feasibility_and_error_ratio
+from ltsim.planning.tolerances import PointTolerances, feasibility_and_tolerance_ratio
 from ltsim.simulation.scenario import Scenario
 
 SEARCH_PROGRESS_FRACTION = 0.8
@@ -179,7 +183,7 @@ class _PlanSearch:
         if demands:
             of_count = {key: layouts for key, layouts in self.layouts.items() if key[0] == count} or self.layouts
             options = self.tradeoff_points(
-                {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in of_count.items()}
+                {key: self._layout_with_smallest_tolerance_ratio(layouts, demands) for key, layouts in of_count.items()}
             )
         elif np.isinf(hours):
             return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
@@ -190,7 +194,7 @@ class _PlanSearch:
                 f"budget.max_hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase it"
             )
         if demands:
-            judged = [(*feasibility_and_error_ratio(o.survey, demands, self.problem.construction), o) for o in paid]
+            judged = [(*feasibility_and_tolerance_ratio(o.survey, demands, self.problem.construction), o) for o in paid]
             good = [option for feasible, _, option in judged if feasible]
             if good:
                 return min(good, key=lambda o: o.hours)
@@ -215,7 +219,7 @@ class _PlanSearch:
             1 if min_stations == "all" else min_stations,
         )
         station_counts = range(min_count, max(min_count, file.stations.max_count) + 1)
-        placement = placement_seeing_all_points(
+        placement = candidate_placement_seeing_all_points(
             make_search_space(file, scenario, n_stations=station_counts[-1], n_faces=faces[-1]), file
         )
         judgements: list[tuple[float, TradeoffPoint]] = []
@@ -230,11 +234,11 @@ class _PlanSearch:
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._run_searches(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
             options = self.tradeoff_points(
-                {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in made.items()}
+                {key: self._layout_with_smallest_tolerance_ratio(layouts, demands) for key, layouts in made.items()}
             )
             paid = [o for o in options if o.hours <= (file.budget.max_hours or np.inf)]
             results = [
-                (*feasibility_and_error_ratio(option.survey, demands, self.problem.construction), option)
+                (*feasibility_and_tolerance_ratio(option.survey, demands, self.problem.construction), option)
                 for option in paid
             ]
             judgements += [(ratio, option) for _, ratio, option in results]
@@ -251,7 +255,7 @@ class _PlanSearch:
             raise InputError(self._no_layout_message(station_counts))
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
-    def _layout_with_smallest_error_ratio(
+    def _layout_with_smallest_tolerance_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
         """List with the one layout, among those of several starts, with the smallest ratio of error to tolerance."""
@@ -261,7 +265,7 @@ class _PlanSearch:
             min(
                 layouts,
                 key=lambda layout: (
-                    feasibility_and_error_ratio(layout[2], tolerances, self.problem.construction)[1],
+                    feasibility_and_tolerance_ratio(layout[2], tolerances, self.problem.construction)[1],
                     layout[0],
                     layout[1],
                 ),
@@ -271,7 +275,7 @@ class _PlanSearch:
     def _has_converged(self) -> bool:
         """True if the last two additional stations hardly reduced the largest ratio of error to tolerance."""
         ratios = [
-            outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
+            outcome.max_tolerance_ratio if outcome.max_tolerance_ratio is not None else np.inf
             for outcome in self.station_count_results
         ]
         return (

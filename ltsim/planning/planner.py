@@ -14,7 +14,7 @@ from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, Layo
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
-from ltsim.planning.search_inputs import is_immovable_target, layout_objective, make_search_space, planned_survey
+from ltsim.planning.search_inputs import is_target_never_moved, layout_objective, make_search_space, planned_survey
 from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, BrokenRule, SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -31,7 +31,7 @@ from ltsim.scene.visibility import Visibility, compute_visibility, nest_normals_
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
-MAX_PAIRS_IN_SENTENCE = 3
+MAX_BLOCKED_SIGHTS_IN_SENTENCE = 3
 """Largest number of blocked sights that a sentence describes."""
 
 
@@ -80,8 +80,8 @@ class LayoutEvaluation(ValueEquality):
         is_shown = ~self.visibility.is_marginal[~self.visibility.is_visible]
         pairs = self.visibility.invisible_pair_sentences(names, targets)
         blocked = [sentence for sentence, shown in zip(pairs, is_shown, strict=True) if shown]
-        more = "; and more" if len(blocked) > MAX_PAIRS_IN_SENTENCE else ""
-        first = "; ".join(blocked[:MAX_PAIRS_IN_SENTENCE])
+        more = "; and more" if len(blocked) > MAX_BLOCKED_SIGHTS_IN_SENTENCE else ""
+        first = "; ".join(blocked[:MAX_BLOCKED_SIGHTS_IN_SENTENCE])
         return [f"{len(blocked)} sights are blocked: {first}{more}."] if blocked else []
 
     def marginal_sight_sentences(self, position_tolerance: float) -> list[str]:
@@ -107,7 +107,7 @@ class StationCountResult:
 
     n_stations: int
     """Number of stations."""
-    max_error_ratio: float | None
+    max_tolerance_ratio: float | None
     """Largest ratio of error to tolerance in the best layout; None if there is no layout."""
     has_layout: bool
     """True if the search found a layout in which every point has the required sights."""
@@ -177,7 +177,7 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
         tolerance_check=check_tolerances(survey, demands, built) if demands else None,
         loss_checks=checks_after_every_loss(survey, demands, built),
         reflector_changes=evaluate_reflector_changes(
-            site, survey, is_immovable_target(plan_file, scenario, survey), objective, built
+            site, survey, is_target_never_moved(plan_file, scenario, survey), objective, built
         ),
     )
 
@@ -245,7 +245,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
     """
     normal, aimed = (
         nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
-        _is_aimed(search_space, survey),
+        _is_aimed_nest(search_space, survey),
     )
     table = compute_visibility(
         survey.station_positions,
@@ -260,7 +260,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
     return table.with_marginal_pairs(~search_space.is_visible(survey.station_positions, survey.target_points))
 
 
-def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
+def _is_aimed_nest(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
     """Flags (T,): True for a target in a fixed nest without a declared normal, which is aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
@@ -273,7 +273,7 @@ def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> Planne
         dict(survey.setup.targets),
         nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
     )
-    for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
+    for at in np.flatnonzero(_is_aimed_nest(search_space, survey)).tolist():
         name = survey.target_names[at]
         aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}
         targets[name] = targets.get(name, Target()).model_copy(update=aim)

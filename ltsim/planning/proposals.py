@@ -131,14 +131,14 @@ class NextMeasurement(ResultFile):
         return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"proposals": self._proposals_table, "separation": self._evidence_table}
+        return {"proposals": self._proposals_table, "separation": self._chi2_differences_table}
 
     def _proposals_table(self) -> Table:
         return PROPOSALS_TABLE.with_rows(
             {**vars(p), "separated_effects": " ".join(p.separated_effects)} for p in self.proposals
         )
 
-    def _evidence_table(self) -> Table:
+    def _chi2_differences_table(self) -> Table:
         """Table of chi-square differences between the first effect and each other one: at present, after proposals."""
         rivals = self.compared_effects[1:]
         against = tuple(

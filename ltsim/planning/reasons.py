@@ -28,7 +28,7 @@ from ltsim.planning.planner import (
     objective_and_qualities,
 )
 from ltsim.planning.search_inputs import layout_objective
-from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
+from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, are_stations_too_near, broken_rules_text
 from ltsim.planning.tolerances import is_tolerance_met, loss_sentences, text_distinct_from_limit
 
 CRITERION_PHRASES = {
@@ -57,7 +57,7 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _quality_text(plan: PlannedNetwork) -> str:
+def _weighted_qualities_text(plan: PlannedNetwork) -> str:
     """Text of the values of the qualities that have a weight in the plan's goal."""
     templates = {
         INSTRUMENT_QUALITY_NAME: "instrument parameters known to {:.3f} of their prior sigma "
@@ -78,10 +78,10 @@ def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
 
 
 def _result_sentences(plan: PlannedNetwork) -> list[str]:
-    work = f"{plan.layout.survey.extent_text}; {_quality_text(plan)}"
+    work = f"{plan.layout.survey.extent_text}; {_weighted_qualities_text(plan)}"
     if plan.verdict is not None:
         return [f"{plan.verdict.sentences}.", f"{work}."]
-    sigma = plan.layout.information.target_sigmas
+    sigma = plan.layout.information.target_point_errors
     worst_index = int(np.argmax(sigma))
     name = plan.layout.survey.target_names[worst_index]
     broken = (
@@ -102,8 +102,8 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     if not plan.station_count_results:
         return []
     *fewer, last = plan.station_count_results
-    outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
-    meets_tolerance = last.max_error_ratio is not None and is_tolerance_met(last.max_error_ratio)
+    outcomes = _station_count_clauses(fewer, plan.search_space.min_sights)
+    meets_tolerance = last.max_tolerance_ratio is not None and is_tolerance_met(last.max_tolerance_ratio)
     n_stations = len(plan.layout.survey.station_positions)
     sentences = (
         [f"{last.n_stations} stations are the fewest for which the search found a layout that meets the tolerances."]
@@ -120,7 +120,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
             if last.n_stations < plan.plan_file.stations.max_count:
                 sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
-        outcomes = _count_result_clauses(plan.station_count_results, plan.search_space.min_sights)
+        outcomes = _station_count_clauses(plan.station_count_results, plan.search_space.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
     return [
         *sentences,
@@ -128,15 +128,15 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
+def _station_count_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; numbers with the same result share a clause.
 
     `min_stations` is the number of stations that must see each point.
     """
 
     def result_text(count_result: StationCountResult) -> str:
-        if count_result.max_error_ratio is not None and np.isfinite(count_result.max_error_ratio):
-            ratio_text = text_distinct_from_limit(count_result.max_error_ratio, 1.0)
+        if count_result.max_tolerance_ratio is not None and np.isfinite(count_result.max_tolerance_ratio):
+            ratio_text = text_distinct_from_limit(count_result.max_tolerance_ratio, 1.0)
             return f"the best layout has an error of {ratio_text} times its tolerance"
         if count_result.has_layout:
             return "the best layout does not determine every point"
@@ -258,9 +258,9 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules and circumstances that limit the layout: spacing, edge of the floor, sights, obstacles."""
     survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, []
-    is_near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
-        survey.station_positions[None], site.min_station_spacing
-    )
+    is_near = are_stations_too_near(
+        survey.station_positions[None], 1.02 * site.min_station_spacing
+    ) & ~are_stations_too_near(survey.station_positions[None], site.min_station_spacing)
     near_pairs = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
     if near_pairs:
         pairs = ", ".join(f"{first} and {second}" for first, second in near_pairs)

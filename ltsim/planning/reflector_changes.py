@@ -11,7 +11,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.objective import TARGETS_QUALITY_NAME, LayoutObjective
-from ltsim.planning.reflectors import MovableReflectors, pairwise_distances
+from ltsim.planning.reflectors import ReflectorPlaces, pairwise_distances
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.result_file import Entry, Finite, Vector
@@ -84,22 +84,23 @@ class ReflectorChanges:
 
     reported_changes: tuple[ReflectorChangeEntry, ...]
     """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
-    n_tried: dict[ChangeKind, int]
+    n_evaluated_by_kind: dict[ChangeKind, int]
     """Number of evaluated changes, by kind."""
-    n_useful: dict[ChangeKind, int]
+    n_useful_by_kind: dict[ChangeKind, int]
     """Number of changes that improve the objective by at least `MIN_REPORTED_IMPROVEMENT`, by kind."""
 
     @property
     def summary_sentence(self) -> str:
         """Sentence on the numbers of evaluated and of useful moves and additions."""
-        if not self.n_tried["move"] + self.n_tried["add"]:
+        if not self.n_evaluated_by_kind["move"] + self.n_evaluated_by_kind["add"]:
             return (
                 "No other place for a reflector was tested. Give candidate places in reflectors.candidate_bodies, "
                 "reflectors.places or reflectors.surfaces, and in reflectors.movable_points the points that may move."
             )
+        evaluated, useful = self.n_evaluated_by_kind, self.n_useful_by_kind
         return (
-            f"Tested one at a time: {self.n_tried['move']} moves of a reflector ({self.n_useful['move']} help), "
-            f"{self.n_tried['add']} additional reflectors ({self.n_useful['add']} help); all others gain less than "
+            f"Tested one at a time: {evaluated['move']} moves of a reflector ({useful['move']} help), "
+            f"{evaluated['add']} additional reflectors ({useful['add']} help); all others gain less than "
             f"{100 * MIN_REPORTED_IMPROVEMENT:.1f} %."
         )
 
@@ -115,19 +116,19 @@ def evaluate_reflector_changes(
 
     Reflectors flagged in `is_fixed` (T,), of T targets, do not change. Candidate positions are those of `search_space`.
     """
-    if is_fixed.all() and search_space.candidate_nests is None:
+    if is_fixed.all() and search_space.candidate_reflector_places is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
     return _ChangeEvaluator(
-        MovableReflectors.from_search_space(search_space, survey, is_fixed, objective, construction),
+        ReflectorPlaces.from_search_space(search_space, survey, is_fixed, objective, construction),
         objective,
         search_space.min_reflector_spacing,
-    ).evaluate_all()
+    ).evaluate_changes()
 
 
 class _ChangeEvaluator:
     """Evaluation of changes of single reflectors of a layout whose reflectors are at their present positions."""
 
-    def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
+    def __init__(self, movable_reflectors: ReflectorPlaces, objective: LayoutObjective, spacing: float) -> None:
         self.movable_reflectors, self.normal_matrix_terms, self.objective = (
             movable_reflectors,
             movable_reflectors.normal_matrix_terms,
@@ -149,7 +150,7 @@ class _ChangeEvaluator:
             weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY_NAME
         )
 
-    def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
+    def _objective_ratios(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
         """Objectives (B,) of B layouts with n reflectors at `occupied_places` (B, n), divided by the plan's objective.
 
         Places are given by index. `normal_matrices` (B, K, K) are those of the layouts, for K unknowns. If only targets
@@ -179,7 +180,7 @@ class _ChangeEvaluator:
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
 
-    def evaluate_all(self) -> ReflectorChanges:
+    def evaluate_changes(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
         terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ReflectorChangeResult]] = {what: [] for what in CHANGE_KINDS}
@@ -199,7 +200,7 @@ class _ChangeEvaluator:
                 occupied_places, normal_matrices = other_places[None], start_matrix[None]
             if not len(occupied_places):
                 return
-            objective_factors = self._objective_factors(normal_matrices, occupied_places, other_places)
+            objective_factors = self._objective_ratios(normal_matrices, occupied_places, other_places)
             tried[kind] += len(objective_factors)
             helped[kind] += int(np.sum(objective_factors < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(objective_factors)[: 1 if kind == "move" else None].tolist():
@@ -214,13 +215,13 @@ class _ChangeEvaluator:
         for what, made in candidates.items():
             best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
             reported += [
-                self._make_change(what, *change)
+                self._change_entry(what, *change)
                 for change in best
                 if what == "remove" or change[0] < 1 - MIN_REPORTED_IMPROVEMENT
             ]
         return ReflectorChanges(tuple(reported), tried, helped)
 
-    def _make_change(
+    def _change_entry(
         self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
     ) -> ReflectorChangeEntry:
         present_indices = self.present_place_indices

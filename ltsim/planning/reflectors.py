@@ -98,7 +98,7 @@ class NormalMatrixTerms:
         `normal_matrices` (B, K, K) are those of the layouts for K unknowns, `place_indices` (n,) or (B, n) the indices
         of the places.
         """
-        rows = self._block_indices(len(normal_matrices), place_indices)
+        rows = self._target_block_indices(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
             normal_matrices,
             self.target_block_inverses[rows],
@@ -111,17 +111,17 @@ class NormalMatrixTerms:
 
         `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
-        at, scorer = self._block_indices(1, place_indices), self.scorer
+        at, scorer = self._target_block_indices(1, place_indices), self.scorer
         variance = scorer.squared_point_errors(
             normal_matrix[None],
             self.target_block_inverses[at],
             self.elimination_coefficients[at],
             scorer.mesh_targets[at],
         )[0]
-        names = [scorer.survey.target_names[t] for t in scorer.target_and_gauge_indices(scorer.mesh_targets[at])[0]]
+        names = [scorer.survey.target_names[t] for t in scorer.target_indices_with_gauge(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
-    def _block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
+    def _target_block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
         """Indices in `target_block_inverses` of the f fixed targets and of n places, (B, f + n), for B layouts."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
@@ -159,7 +159,7 @@ def with_reflectors_at_places(
 
 
 @dataclass(frozen=True)
-class MovableReflectors:
+class ReflectorPlaces:
     """Places for movable reflectors: the present places of reflectors first, then candidates of the search space."""
 
     places: Floats
@@ -180,12 +180,16 @@ class MovableReflectors:
         is_fixed: Bools,
         objective: LayoutObjective,
         construction: GeometricErrorModel,
-    ) -> MovableReflectors:
+    ) -> ReflectorPlaces:
         """Places that enough stations see and that keep the spacing to each other.
 
         `is_fixed` (T,) flags those of the T targets of `survey` that do not move.
         """
-        offered = np.zeros((0, 3)) if search_space.candidate_nests is None else search_space.candidate_nests
+        offered = (
+            np.zeros((0, 3))
+            if search_space.candidate_reflector_places is None
+            else search_space.candidate_reflector_places
+        )
         places = np.concatenate([survey.target_points[~is_fixed], offered])
         present = [name for name, stay in zip(survey.target_names, is_fixed, strict=True) if not stay]
         is_usable = _is_usable_place(search_space, survey, places)
@@ -197,7 +201,7 @@ class MovableReflectors:
             np.zeros(len(present), bool),
             _is_near_point(survey.target_points[is_fixed], offered, search_space.min_reflector_spacing),
         ]
-        names = tuple(n for n, g in zip((*present, *search_space.nest_names), is_usable, strict=True) if g)
+        names = tuple(n for n, g in zip((*present, *search_space.reflector_place_names), is_usable, strict=True) if g)
         places = places[is_usable]
         visible = search_space.is_visible(
             survey.station_positions, np.concatenate([survey.target_points[is_fixed], places])
@@ -225,10 +229,10 @@ def choose_reflectors(
 
     Reflectors flagged in `is_fixed` (T,), of T targets, do not move. Raises InputError if too few places are visible.
     """
-    if search_space.candidate_nests is None:
+    if search_space.candidate_reflector_places is None:
         return survey
     choice, wanted = (
-        MovableReflectors.from_search_space(search_space, survey, is_fixed, objective, construction),
+        ReflectorPlaces.from_search_space(search_space, survey, is_fixed, objective, construction),
         int((~is_fixed).sum()),
     )
     places = choice.places
@@ -237,7 +241,7 @@ def choose_reflectors(
             f"only {len(places)} places for reflectors are visible from the stations, expected {wanted}; "
             "add places or ask for fewer"
         )
-    start = _initial_places(
+    start = _initial_reflector_places(
         places, np.arange(len(places)) < choice.n_present_places, wanted, search_space.min_reflector_spacing
     )
     chosen = _exchange_places(choice.normal_matrix_terms, objective, places, start, search_space.min_reflector_spacing)
@@ -266,7 +270,7 @@ def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
     return np.asarray((gap < distance).any(axis=1))
 
 
-def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
+def _initial_reflector_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
     """Indices of initial places for `n_reflectors` reflectors: the present ones, then each time the farthest one.
 
     The farthest place has the largest distance from all chosen ones. `is_present_place` (P,) flags the present ones of

@@ -23,7 +23,8 @@ def never_visible_text(search_space: SearchSpace, placement: StationPlacement) -
     if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
         return ""
     return search_space.unseen_targets_text(
-        placement, placement.place_stations(len(position) - len(search_space.fixed_stations), search_space.min_sights)
+        placement,
+        placement.place_stations(len(position) - len(search_space.fixed_station_indices), search_space.min_sights),
     )
 
 
@@ -35,7 +36,7 @@ def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_h
     """
     placement, names = search_space.candidate_placement(step, n_heights), search_space.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
-    n_free_stations = len(search_space.survey.station_positions) - len(search_space.fixed_stations)
+    n_free_stations = len(search_space.survey.station_positions) - len(search_space.fixed_station_indices)
     enough = (
         k
         for k in range(search_space.min_sights, 0, -1)
@@ -74,10 +75,14 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     problem = layout_error(search_space.min_sights)
     if problem is None:
         return file
-    placement = placement_seeing_all_points(search_space, file)
+    placement = candidate_placement_seeing_all_points(search_space, file)
     if not reachable:
         raise problem
-    cure = "remove a station from stations.fixed_stations" if len(search_space.fixed_stations) else "enlarge the floor"
+    cure = (
+        "remove a station from stations.fixed_stations"
+        if len(search_space.fixed_station_indices)
+        else "enlarge the floor"
+    )
     larger_count = (
         0 if file.stations.min_stations_per_target == "all" else _smallest_sufficient_count(search_space, placement)
     )
@@ -96,13 +101,13 @@ def _smallest_sufficient_count(search_space: SearchSpace, placement: StationPlac
     """
     count, wanted_sights = len(search_space.survey.station_positions), search_space.min_sights
     for n_added in range(1, MAX_PROPOSED_ADDITIONAL_STATIONS + 1):
-        places = placement.place_stations(count + n_added - len(search_space.fixed_stations), wanted_sights)
+        places = placement.place_stations(count + n_added - len(search_space.fixed_station_indices), wanted_sights)
         if not placement.missing_sights(places, wanted_sights).any():
             return count + n_added
     return 0
 
 
-def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
+def candidate_placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate positions of stations on the grid; raises InputError, which names points that no position sees."""
     placement = search_space.candidate_placement(
         grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count

@@ -27,7 +27,7 @@ from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario, reas
 from ltsim.planning.reflector_changes import ReflectorChangeEntry, to_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.tolerances import percent_text
+from ltsim.planning.tolerances import tolerance_ratio_text
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.result_file import OptionalFloat, ResultFile, read_result, write_result
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
@@ -116,7 +116,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             start_objectives=network.start_objectives,
             obstacle_sentences=tuple(body.description for body in placed_obstacles(network.scenario)),
             goal_reached=None if judged is None else judged.is_goal_reached,
-            tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all,
+            tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all_tolerances,
             loss_checks=tuple(LossCheckEntry.from_check(loss) for loss in network.loss_checks),
             settings=PlanFile.model_validate(network.plan_file.model_dump(mode="json")),  # all of it goes to the file
             seed=network.plan_file.search.seed,
@@ -169,7 +169,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
     def _tolerances_table(self) -> Table:
         return tables.TOLERANCES_TABLE.with_rows(
-            [r.name, r.point_error_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.tolerance_met]
+            [r.name, r.point_error_mm, r.tolerance_mm, tolerance_ratio_text(r.tolerance_ratio), r.tolerance_met]
             for r in self.reflectors
             if r.tolerance_ratio is not None
         )
@@ -230,7 +230,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     network = plan.network
     companions = [plan.table(name) for name in plan._tables()]
     companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
-    scenario, cad = copy_cad_files(scenario_of_plan(network))
+    scenario, cad = with_cad_file_copies(scenario_of_plan(network))
     texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE: scenario_to_toml(scenario)}
     return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
@@ -285,7 +285,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
     return scenario.model_copy(update=new_fields | {"title": title or scenario.title})
 
 
-def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
+def with_cad_file_copies(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
     """Scenario whose obstacles name CAD files in the scenario's own folder, and contents of these files by name.
 
     Raises InputError if a file cannot be read.

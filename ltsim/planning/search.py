@@ -69,11 +69,11 @@ class LayoutSearcher:
     def __post_init__(self) -> None:
         self.scorer = LayoutScorer(self.search_space.survey, self.construction, self.objective.effects)
         self.n_stations = self.scorer.n_stations
-        self._movable_stations = [s for s in range(self.n_stations) if s not in self.search_space.fixed_stations]
+        self._movable_stations = [s for s in range(self.n_stations) if s not in self.search_space.fixed_station_indices]
         self._grid_tables: dict[int, NormalBlocks] = {}
         self._n_steps = 0
 
-    def candidate_setups(
+    def candidate_setup_blocks(
         self, position: Floats, yaw: Floats, station_index: int, is_visible: Bools | None = None
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
@@ -88,14 +88,14 @@ class LayoutSearcher:
             self._report_step()
         return NormalBlocks.concatenate(parts)
 
-    def grid_setups(self, station_index: int) -> NormalBlocks:
+    def grid_setup_blocks(self, station_index: int) -> NormalBlocks:
         """Contributions of all set-ups of the grid, as alternatives for one station; computed once.
 
         They depend on the station only if the objective has effects, which may depend on time.
         """
         key = station_index if self.objective.effects else 0
         if key not in self._grid_tables:
-            places, visible = self.placement.candidate_positions, self.placement.is_visible
+            places, visible = self.grid_placement.candidate_positions, self.grid_placement.is_visible
             whole = self.search_space.min_sights >= self.n_stations
             is_permitted = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
             if not is_permitted.any():
@@ -103,19 +103,19 @@ class LayoutSearcher:
             turns = np.arange(self.n_yaws) * (2 * np.pi / self.n_yaws)
             position: Floats = np.repeat(places[is_permitted], self.n_yaws, axis=0)
             yaw = np.tile(turns, int(is_permitted.sum()))
-            self._grid_tables[key] = self.candidate_setups(
+            self._grid_tables[key] = self.candidate_setup_blocks(
                 position, yaw, key, np.repeat(visible[is_permitted], self.n_yaws, axis=0)
             )
         return self._grid_tables[key]
 
     @cached_property
-    def placement(self) -> StationPlacement:
+    def grid_placement(self) -> StationPlacement:
         """Candidate positions of stations on the grid, with the targets visible from each."""
         return self.search_space.candidate_placement(self.grid_step, self.n_heights)
 
     def _invisible_targets_sentence(self) -> str:
         """Sentence on targets that no grid position sees, or on the target that the fewest grid positions see."""
-        share = self.placement.is_visible.mean(axis=0)
+        share = self.grid_placement.is_visible.mean(axis=0)
         if not share.all():
             return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
         worst_target = self.search_space.survey.target_names[int(np.argmin(share))]
@@ -128,7 +128,7 @@ class LayoutSearcher:
     def layout_blocks(self, position: Floats, yaw: Floats) -> NormalBlocks:
         """Contributions of the S stations of a layout, at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
         return NormalBlocks.concatenate(
-            [self.candidate_setups(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
+            [self.candidate_setup_blocks(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
         )
 
     def evaluate_layout(self, position: Floats, yaw: Floats) -> StationLayout:
@@ -141,13 +141,13 @@ class LayoutSearcher:
             self.search_space.is_allowed(position).all()
             and self.search_space.is_feasible(position[None], blocks.is_visible[None])[0]
         )
-        return StationLayout(position, yaw, self._objective_of(blocks) if is_permitted else np.inf)
+        return StationLayout(position, yaw, self._objective_of_layout(blocks) if is_permitted else np.inf)
 
-    def _objective_of(self, layout: NormalBlocks) -> float:
+    def _objective_of_layout(self, layout: NormalBlocks) -> float:
         """Objective of a layout, given by the contributions of its stations."""
-        return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
+        return float(self._objectives_of_layouts(layout, np.arange(self.n_stations)[None])[0])
 
-    def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
+    def _objectives_of_layouts(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
         """Objectives (B,) of B layouts of S stations; `setup_indices` (B, S) are the indices of set-ups in `blocks`."""
         objective_batches = [
             self.objective.objective_values(
@@ -180,7 +180,9 @@ class LayoutSearcher:
         objectives = np.full(count, np.inf)
         chosen = np.tile(np.arange(self.n_stations), (len(permitted_candidates), 1))
         chosen[:, station_index] = self.n_stations + permitted_candidates
-        objectives[permitted_candidates] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
+        objectives[permitted_candidates] = self._objectives_of_layouts(
+            NormalBlocks.concatenate([layout, candidates]), chosen
+        )
         return objectives
 
     def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
@@ -224,7 +226,7 @@ class LayoutSearcher:
         for _ in range(MAX_LAYOUT_SWEEPS):
             before = objective_value
             layout, objective_value = self._exchange_sweep(
-                layout, objective_value, lambda _, station_index: self.grid_setups(station_index)
+                layout, objective_value, lambda _, station_index: self.grid_setup_blocks(station_index)
             )
             if not objective_value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 break
@@ -252,7 +254,7 @@ class LayoutSearcher:
             position[:, 2] = np.clip(position[:, 2], *self.search_space.head_heights)
             is_permitted = self.search_space.is_allowed(position)
             return (
-                self.candidate_setups(
+                self.candidate_setup_blocks(
                     position[is_permitted], layout.setup_yaws[station_index] + moves[is_permitted, 3], station_index
                 )
                 if is_permitted.any()
@@ -272,8 +274,8 @@ class LayoutSearcher:
         Of `MAX_RANDOM_LAYOUTS` draws the first that determines all poses and targets is used, otherwise the last that
         meets the rules. Raises InputError, with the targets that lack sights, if no draw meets them.
         """
-        survey, free, places = self.search_space.survey, self._movable_stations, self.placement
-        tables = {station_index: self.grid_setups(station_index) for station_index in free}
+        survey, free, places = self.search_space.survey, self._movable_stations, self.grid_placement
+        tables = {station_index: self.grid_setup_blocks(station_index) for station_index in free}
         lacking = ""
         loose: NormalBlocks | None = None
         for _ in range(MAX_RANDOM_LAYOUTS):
@@ -291,7 +293,7 @@ class LayoutSearcher:
                         station_index, tables[station_index].select(random_generator.choice(at, size=1))
                     )
             if self.search_space.is_feasible(made.setup_positions[None], made.is_visible[None])[0]:
-                if np.isfinite(self._objective_of(made)):
+                if np.isfinite(self._objective_of_layout(made)):
                     return made
                 loose = made
         if loose is not None:
@@ -310,7 +312,7 @@ class LayoutSearcher:
         It may remain undetermined.
         """
         for station_index in self._movable_stations * 2:
-            table = self.grid_setups(station_index)
+            table = self.grid_setup_blocks(station_index)
             position, visible = _layouts_with_candidates(layout, station_index, table)
             worth = np.where(
                 self.search_space.is_feasible(position, visible), self.search_space.connectivity_scores(visible), -1.0
@@ -318,7 +320,7 @@ class LayoutSearcher:
             if worth.max() < 0:
                 continue
             layout = layout.with_replaced_station(station_index, table.select(np.array([worth.argmax()])))
-            if np.isfinite(self._objective_of(layout)):
+            if np.isfinite(self._objective_of_layout(layout)):
                 break
         return layout
 
@@ -331,8 +333,8 @@ class LayoutSearcher:
         current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws
         begins_there = start_number == 0 and np.isfinite(self.evaluate_layout(*current).objective_value)
         layout = self.layout_blocks(*current) if begins_there else self.random_layout(rng)
-        if not np.isfinite(value := self._objective_of(layout)):
-            value = self._objective_of(layout := self._connect_stations(layout))
+        if not np.isfinite(value := self._objective_of_layout(layout)):
+            value = self._objective_of_layout(layout := self._connect_stations(layout))
         self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
         layout, value = self.exchange_on_grid(layout, value)
         layout, value = self.refine_off_grid(layout, value, rng)

@@ -37,7 +37,7 @@ from ltsim.simulation.workshop import (
     planned_layout,
 )
 
-MAX_CANDIDATE_PLACES = 3_000
+MAX_REFLECTOR_PLACES = 3_000
 """Largest number of candidate positions (places) of reflectors of a plan: the search holds the distances of all pairs,
 70 MB at this limit, and 7 kB for each place.
 """
@@ -115,7 +115,7 @@ def make_search_space(
         plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
     )
     longest = max(np.linalg.norm(area.outline[:, None] - survey.target_points[:, :2], axis=2).max() for area in areas)
-    places, names = candidate_places(plan, scenario)
+    places, names = candidate_reflector_places(plan, scenario)
     min_stations = plan.stations.min_stations_per_target
     least = n_stations if min_stations == "all" else min(min_stations, n_stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
@@ -126,7 +126,7 @@ def make_search_space(
             )
         least = MIN_RANGE_STATIONS
     return SearchSpace(
-        survey=with_station_count(survey, n_stations).replace(
+        survey=survey_with_station_count(survey, n_stations).replace(
             faces=tuple(range(1, n_faces + 1)),
             repeats=n_repeats,
             target_weights=point_weights(plan),
@@ -142,9 +142,9 @@ def make_search_space(
         obstacles=make_obstacles(scenario),
         min_station_spacing=plan.stations.spacing_mm * mm,
         min_sights=least,
-        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),
-        candidate_nests=places,
-        nest_names=names,
+        fixed_station_indices=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),
+        candidate_reflector_places=places,
+        reflector_place_names=names,
         min_reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
 
@@ -175,7 +175,7 @@ def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[
     return sorted(set(plan_file.budget.faces or (1, 2))), sorted(set(plan_file.budget.repeats or usual))
 
 
-def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
+def survey_with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
     """Survey with the first `n_stations` of its stations; missing ones are added at provisional positions."""
     have = len(survey.station_positions)
     names = [*survey.station_names]
@@ -193,19 +193,21 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
     )
 
 
-def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
+def candidate_reflector_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
     """Candidate positions (P, 3) [m] of reflectors at P places, and their names; (None, ()) if reflectors do not move.
 
-    Raises InputError for more than `MAX_CANDIDATE_PLACES`.
+    Raises InputError for more than `MAX_REFLECTOR_PLACES`.
     """
     surfaces = plan.reflectors.surfaces
-    _require_few_places(len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces))
+    _require_few_reflector_places(
+        len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces)
+    )
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
     for body in plan.reflectors.candidate_bodies:
         points.append(_places_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
-    _require_few_places(sum(map(len, points)) + sum(surface.rows * surface.columns for surface in surfaces))
+    _require_few_reflector_places(sum(map(len, points)) + sum(surface.rows * surface.columns for surface in surfaces))
     for surface in surfaces:
         steps = np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns)
         up, across = (share.reshape(-1, 1) for share in np.meshgrid(*steps, indexing="ij"))
@@ -216,11 +218,11 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     return np.concatenate(points) * MILLIMETRE, tuple(names)
 
 
-def _require_few_places(n_places: int) -> None:
-    """Check that there are at most `MAX_CANDIDATE_PLACES` candidate positions of reflectors; raises InputError."""
-    if n_places > MAX_CANDIDATE_PLACES:
+def _require_few_reflector_places(n_places: int) -> None:
+    """Check that there are at most `MAX_REFLECTOR_PLACES` candidate positions of reflectors; raises InputError."""
+    if n_places > MAX_REFLECTOR_PLACES:
         raise InputError(
-            f"reflectors: {n_places} candidate places, expected at most {MAX_CANDIDATE_PLACES}; "
+            f"reflectors: {n_places} candidate places, expected at most {MAX_REFLECTOR_PLACES}; "
             "give fewer rows and columns of surfaces, or a larger place_spacing_mm"
         )
 
@@ -240,7 +242,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
     return np.asarray(np.round(places / MILLIMETRE))
 
 
-def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
+def is_target_fixed_in_search(plan: PlanFile, scenario: Scenario) -> Bools:
     """Flags (T,): True for a target of the scenario that the search does not move.
 
     If the plan has no candidate positions of reflectors, the search moves no target.
@@ -248,17 +250,17 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.candidate_bodies):
         return np.ones(len(names), dtype=bool)
-    return _fixed_flags(plan, scenario, names, [point.name for point in plan.listed_points])
+    return _fixed_target_flags(plan, scenario, names, [point.name for point in plan.listed_points])
 
 
-def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
+def is_target_never_moved(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
     """Flags (T,): True for a target of the survey that neither moves in the search nor may be moved afterwards."""
     free = plan.reflectors.movable_points
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
-    return _fixed_flags(plan, scenario, survey.target_names, demanded)
+    return _fixed_target_flags(plan, scenario, survey.target_names, demanded)
 
 
-def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
+def _fixed_target_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
     """Flags (T,): True for each of the targets `names` that is in `fixed_names`, in the gauge, or fixed by the plan."""
     fixed = {*plan.reflectors.fixed_reflectors, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)

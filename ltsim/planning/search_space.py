@@ -57,7 +57,7 @@ def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
     return "; ".join(rule.sentence for rule in rules)
 
 
-def is_too_near(position: Floats, spacing: float) -> Bools:
+def are_stations_too_near(position: Floats, spacing: float) -> Bools:
     """Flags (B, S, S): True for a pair of stations whose horizontal distance is smaller than `spacing` [m].
 
     `position` (B, S, 3) [m] are the S stations of B layouts. Each pair is flagged once.
@@ -66,7 +66,7 @@ def is_too_near(position: Floats, spacing: float) -> Bools:
     return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
 
-def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
+def target_has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
     """Flags (B, T): True for a target that fewer than `min_sights` stations see.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
@@ -74,7 +74,7 @@ def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
     return np.asarray(is_visible.sum(axis=1) < min_sights)
 
 
-def has_too_few_targets(is_visible: Bools) -> Bools:
+def station_has_too_few_targets(is_visible: Bools) -> Bools:
     """Flags (B, S): True for a station that sees fewer than `MIN_VISIBLE_TARGETS` targets.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
@@ -105,12 +105,12 @@ class SearchSpace(ValueEquality):
     """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
     min_sights: int = 1
     """Smallest number of stations that must see each target."""
-    fixed_stations: tuple[int, ...] = ()
+    fixed_station_indices: tuple[int, ...] = ()
     """Indices of the stations that do not move."""
-    candidate_nests: Floats | None = None
+    candidate_reflector_places: Floats | None = None
     """Coordinates (P, 3) [m] of P candidate positions of reflectors; None if reflectors do not move."""
-    nest_names: tuple[str, ...] = ()
-    """Name that a reflector gets at each of `candidate_nests`."""
+    reflector_place_names: tuple[str, ...] = ()
+    """Name that a reflector gets at each of `candidate_reflector_places`."""
     min_reflector_spacing: float = 0.3
     """Smallest distance between reflectors [m]."""
 
@@ -156,11 +156,11 @@ class SearchSpace(ValueEquality):
 
         `position` (B, S, 3) [m] are the S stations, `is_visible` (B, S, T) flags their sights to T targets.
         """
-        is_feasible: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
-        is_feasible &= ~has_too_few_targets(is_visible).any(axis=1)
-        is_feasible &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
+        is_feasible: Bools = np.asarray(~target_has_too_few_sights(is_visible, self.min_sights).any(axis=1))
+        is_feasible &= ~station_has_too_few_targets(is_visible).any(axis=1)
+        is_feasible &= ~are_stations_too_near(position, self.min_station_spacing).any(axis=(1, 2))
         if self.is_aimed_nest.any() and is_feasible.any():
-            is_feasible[is_feasible] = self._has_aimable_nest(position[is_feasible]).all(axis=1)
+            is_feasible[is_feasible] = self._is_aimable_nest(position[is_feasible]).all(axis=1)
         return is_feasible
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
@@ -178,7 +178,7 @@ class SearchSpace(ValueEquality):
             np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
         ).tolist():
             rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
-        for first, second in np.argwhere(is_too_near(position[None], self.min_station_spacing)[0]).tolist():
+        for first, second in np.argwhere(are_stations_too_near(position[None], self.min_station_spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
             words = (
                 f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.min_station_spacing:g} m"
@@ -189,7 +189,7 @@ class SearchSpace(ValueEquality):
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules on sights that a layout breaks, from the flags `is_visible` of the survey."""
         visible, targets, rules = survey.is_visible[None], survey.target_names, []
-        deficient_names = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
+        deficient_names = [targets[t] for t in np.flatnonzero(target_has_too_few_sights(visible, self.min_sights)[0])]
         if deficient_names:
             verb, stations = (
                 "is" if len(deficient_names) == 1 else "are",
@@ -199,7 +199,7 @@ class SearchSpace(ValueEquality):
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
-        for s in np.flatnonzero(has_too_few_targets(visible)[0]):
+        for s in np.flatnonzero(station_has_too_few_targets(visible)[0]):
             count = int(survey.is_visible[s].sum())
             rules.append(
                 BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_VISIBLE_TARGETS}")
@@ -208,7 +208,7 @@ class SearchSpace(ValueEquality):
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
             turned = [
                 name
-                for name, ok in zip(aimed, self._has_aimable_nest(survey.station_positions[None])[0], strict=True)
+                for name, ok in zip(aimed, self._is_aimable_nest(survey.station_positions[None])[0], strict=True)
                 if not ok
             ]
             if turned:
@@ -227,7 +227,7 @@ class SearchSpace(ValueEquality):
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
-    def _has_aimable_nest(self, position: Floats) -> Bools:
+    def _is_aimable_nest(self, position: Floats) -> Bools:
         """Flags (B, k): True for each of k fixed nests that can be aimed so that it accepts the beams of all stations.
 
         `position` (B, S, 3) [m] are the S stations of B layouts.
@@ -264,7 +264,7 @@ class SearchSpace(ValueEquality):
             else ""
         )
 
-    def grid_places(self, step: float, n_heights: int) -> Floats:
+    def grid_station_positions(self, step: float, n_heights: int) -> Floats:
         """Positions (N, 3) [m] of N grid points where a tripod may stand; `step` [m] is the horizontal step.
 
         Each point of the horizontal grid has `n_heights` heights.
@@ -278,7 +278,10 @@ class SearchSpace(ValueEquality):
         `step` [m] is the horizontal step, `n_heights` the number of heights. Raises InputError if there is no such
         position.
         """
-        places, fixed = self.grid_places(step, n_heights), self.survey.station_positions[list(self.fixed_stations)]
+        places, fixed = (
+            self.grid_station_positions(step, n_heights),
+            self.survey.station_positions[list(self.fixed_station_indices)],
+        )
         visible = self.is_visible(places)
         is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
         if not is_sufficient.any():

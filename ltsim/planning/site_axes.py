@@ -40,7 +40,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
     adjustment = adjust(recording, declared_construction(recording))
-    plan = _floor_plan_from_points(
+    plan = _site_transformation_from_points(
         recording, adjustment.state, search_space, adjustment.undetermined_targets, site_name
     )
     if plan is None and not nominal:
@@ -62,7 +62,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def _floor_plan_from_points(
+def _site_transformation_from_points(
     recording: Recording, state: NetworkState, search_space: SearchSpace, undetermined: tuple[str, ...], site_name: str
 ) -> FloorPlanTransform | None:
     """Transformation from the network to the site by the points with equal names; None if there are too few.

@@ -16,7 +16,7 @@ MAX_BRANCH_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree for the positions of stations; a few were sufficient in all
 halls that were tried.
 """
-MAX_RANDOM_PLACE_COST = 1e-4
+MAX_RANDOM_TIE_BREAKER_COST = 1e-4
 """Largest random cost of a candidate position in the choice of positions, where a missing sight costs 1; it makes each
 random draw of a layout different."""
 
@@ -117,7 +117,11 @@ class StationPlacement:
         ]
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pair_matrix, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
-        cost = np.zeros(places) if random_generator is None else MAX_RANDOM_PLACE_COST * random_generator.random(places)
+        cost = (
+            np.zeros(places)
+            if random_generator is None
+            else MAX_RANDOM_TIE_BREAKER_COST * random_generator.random(places)
+        )
         solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,

@@ -21,7 +21,7 @@ from ltsim.planning.search_space import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
-DEFAULT_TOLERANCE_FACTOR = 10.0
+DEFAULT_TO_WIDEST_TOLERANCE_RATIO = 10.0
 """Tolerance of points without a declared tolerance in the objective of the search, divided by the widest declared
 tolerance of the plan."""
 MIN_POINT_WEIGHT = 1e-6
@@ -30,7 +30,7 @@ MAX_POINTS_IN_VERDICT = 5
 """Largest number of points that a sentence of the verdict lists."""
 LOST_SIGHT_PREFIX = "the sight"
 """First words of the description of a lost sight; the description of a lost station is its name."""
-UNDETERMINED_TEXT = "the network no longer determines its points"
+UNDETERMINED_NETWORK_TEXT = "the network no longer determines its points"
 """Text for a network whose poses or points are not all determined, so that point errors do not exist."""
 
 
@@ -45,7 +45,7 @@ def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 
-def percent_text(ratio: float) -> str:
+def tolerance_ratio_text(ratio: float) -> str:
     """Text, in percent, of the ratio of an error to its tolerance: `100.4 %` for an error that is 0.4 % too large.
 
     The text has enough digits to show on which side of 100 % the ratio is.
@@ -94,7 +94,7 @@ def point_weights(file: PlanFile) -> dict[str, float]:
         return {p.name: max(p.weight, MIN_POINT_WEIGHT) for p in file.listed_points if p.weight != 1.0}
     tight, wide = (
         min(demands.tolerance_by_point_m.values()),
-        DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance_by_point_m.values()),
+        DEFAULT_TO_WIDEST_TOLERANCE_RATIO * max(demands.tolerance_by_point_m.values()),
     )
     return {
         p.name: max(p.weight * (tight / demands.tolerance_by_point_m.get(p.name, wide)) ** 2, MIN_POINT_WEIGHT)
@@ -126,7 +126,7 @@ class ToleranceCheck:
     """Tolerance of each point [m], by name."""
     error_by_point_m: Mapping[str, float]
     """Error [m] of each determined point with a tolerance, by name, that is not exceeded at the confidence level."""
-    max_ratio: float
+    max_tolerance_ratio: float
     """Largest ratio of error to tolerance; infinite if a point is undetermined."""
     worst_point_name: str
     """Name of the point with the largest ratio of error to tolerance."""
@@ -134,9 +134,9 @@ class ToleranceCheck:
     """Points with a tolerance that no station sees."""
 
     @property
-    def meets_all(self) -> bool:
+    def meets_all_tolerances(self) -> bool:
         """True if all tolerances are met."""
-        return is_tolerance_met(self.max_ratio)
+        return is_tolerance_met(self.max_tolerance_ratio)
 
     @property
     def is_sight_loss(self) -> bool:
@@ -156,25 +156,31 @@ class ToleranceCheck:
     def worst_point_values_text(self) -> str:
         """Text of the worst point with its error and its tolerance; only its name if it is not visible."""
         return (
-            self.point_text(self.worst_point_name)
+            self.point_error_text(self.worst_point_name)
             if self.worst_point_name in self.error_by_point_m
             else self.worst_point_name
         )
 
     @property
-    def worst_point_text(self) -> str:
+    def worst_point_margin_text(self) -> str:
         """Text of the worst point with the margin to its tolerance, or the excess over it, in percent."""
-        excess = 100 * (self.max_ratio - 1)
+        excess = 100 * (self.max_tolerance_ratio - 1)
         margin = (
-            f"margin {-excess:.0f} %" if self.meets_all else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
+            f"margin {-excess:.0f} %"
+            if self.meets_all_tolerances
+            else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
         )
         margin = margin if np.isfinite(excess) else "not visible from any station"
-        return f"worst point {self.worst_point_values_text} ({margin})" if self.error_by_point_m else UNDETERMINED_TEXT
+        return (
+            f"worst point {self.worst_point_values_text} ({margin})"
+            if self.error_by_point_m
+            else UNDETERMINED_NETWORK_TEXT
+        )
 
     @property
     def violations_clause(self) -> str:
         """Clause on the points that are not visible or exceed their tolerances, or that all tolerances are met."""
-        if self.meets_all:
+        if self.meets_all_tolerances:
             return f"all tolerances are met, worst point {self.worst_point_values_text}"
         verb, named = (
             "is" if len(self.unseen_points) == 1 else "are",
@@ -182,7 +188,7 @@ class ToleranceCheck:
         )
         clauses = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
         if not self.error_by_point_m:
-            clauses.append(UNDETERMINED_TEXT)
+            clauses.append(UNDETERMINED_NETWORK_TEXT)
         if self.exceeding_points:
             worst, many = max(self.exceeding_points, key=self.tolerance_ratio), len(self.exceeding_points) > 1
             points = (
@@ -190,10 +196,10 @@ class ToleranceCheck:
                 if many
                 else "1 point exceeds its tolerance"
             )
-            clauses.append(f"{points} ({'worst ' if many else ''}{self.point_text(worst)})")
+            clauses.append(f"{points} ({'worst ' if many else ''}{self.point_error_text(worst)})")
         return ", ".join(clauses)
 
-    def point_text(self, name: str) -> str:
+    def point_error_text(self, name: str) -> str:
         """Text of the point `name` with its error and its tolerance."""
         error, tolerance = self.error_by_point_m[name] / MILLIMETRE, self.tolerance_by_point_m[name] / MILLIMETRE
         return f"{name}: {text_distinct_from_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
@@ -234,7 +240,7 @@ def check_tolerances(
     )
 
 
-def checks_after_losses(
+def checks_after_losses_of_kind(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
     """Checks of the layout of `survey` after each single loss of one kind.
@@ -262,7 +268,9 @@ def checks_after_every_loss(
     The result is empty if there are no tolerances.
     """
     kinds = ("station", "sight") if tolerances else ()
-    return tuple(check for kind in kinds for check in checks_after_losses(survey, tolerances, construction, kind))
+    return tuple(
+        check for kind in kinds for check in checks_after_losses_of_kind(survey, tolerances, construction, kind)
+    )
 
 
 def checks_after_required_losses(
@@ -270,10 +278,10 @@ def checks_after_required_losses(
 ) -> list[ToleranceCheck]:
     """Checks of the layout of `survey` without each station, and without each sight if that loss must be withstood."""
     kinds = ("station", "sight") if tolerances.loss_to_withstand == "sight" else ("station",)
-    return [loss for kind in kinds for loss in checks_after_losses(survey, tolerances, construction, kind)]
+    return [loss for kind in kinds for loss in checks_after_losses_of_kind(survey, tolerances, construction, kind)]
 
 
-def feasibility_and_error_ratio(
+def feasibility_and_tolerance_ratio(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[bool, float]:
     """Flag that is True if a survey meets its tolerances, and largest ratio of point error to tolerance.
@@ -282,10 +290,11 @@ def feasibility_and_error_ratio(
     them, both refer to the complete survey.
     """
     verdict = check_tolerances(survey, tolerances, construction)
-    if not verdict.meets_all or tolerances.loss_to_withstand == "no":
-        return verdict.meets_all, verdict.max_ratio
+    if not verdict.meets_all_tolerances or tolerances.loss_to_withstand == "no":
+        return verdict.meets_all_tolerances, verdict.max_tolerance_ratio
     largest_ratio = max(
-        loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.loss_to_withstand)
+        loss.max_tolerance_ratio
+        for loss in checks_after_losses_of_kind(survey, tolerances, construction, tolerances.loss_to_withstand)
     )
     return is_tolerance_met(largest_ratio), largest_ratio
 
@@ -310,27 +319,31 @@ def plan_verdict(
     asked = [
         loss for loss in loss_checks if tolerances.loss_to_withstand == ("sight" if loss.is_sight_loss else "station")
     ]
-    reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
+    reached = (
+        not broken_rules and tolerance_check.meets_all_tolerances and all(loss.meets_all_tolerances for loss in asked)
+    )
     n_points = len(tolerances.tolerance_by_point_m)
     count_text = (
         f"all {n_points}"
-        if tolerance_check.meets_all
+        if tolerance_check.meets_all_tolerances
         else f"{len(tolerance_check.error_by_point_m) - len(tolerance_check.exceeding_points)} of {n_points}"
     )
     words = (
         f"{count_text} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
-        f"{tolerance_check.worst_point_text}"
+        f"{tolerance_check.worst_point_margin_text}"
     )
     worst_loss = max(
-        (loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None
+        (loss for loss in loss_checks if not loss.is_sight_loss),
+        key=lambda loss: loss.max_tolerance_ratio,
+        default=None,
     )
     if worst_loss is not None:
         lost = (
             "after the loss of any one station all are met"
-            if worst_loss.meets_all
+            if worst_loss.meets_all_tolerances
             else f"without {worst_loss.loss_text} they are not met"
         )
-        words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_text}"
+        words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_margin_text}"
     rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
     words = words[0].upper() + words[1:] if broken_rules else words
     return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
@@ -340,7 +353,9 @@ def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
     """Sentences on the checks after losses: one for each station, and one on all sights together."""
     texts = [f"Without {loss.loss_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
     sights = [loss for loss in loss_checks if loss.is_sight_loss]
-    broken = sorted((loss for loss in sights if not loss.meets_all), key=lambda loss: -loss.max_ratio)
+    broken = sorted(
+        (loss for loss in sights if not loss.meets_all_tolerances), key=lambda loss: -loss.max_tolerance_ratio
+    )
     if broken:
         number = f"{len(broken)} of {len(sights)} sights"
         texts.append(f"{number} are critical; without {broken[0].loss_text}: {broken[0].violations_clause}.")

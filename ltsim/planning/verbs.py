@@ -175,7 +175,7 @@ class StationAlternative:
     """Survey with the alternative layout."""
     verdict: str
     """Verdict on the alternative layout, as a sentence."""
-    max_error_ratio: float
+    max_tolerance_ratio_or_error: float
     """Largest ratio of point error to tolerance, including losses that must be withstood; without tolerances the
     largest point error [m] that is not exceeded at 95 % confidence.
     """
@@ -205,8 +205,8 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     problem, survey = PlanningProblem(file, scenario), site.survey
     station_index = _station_index(survey, station)
     other_stations = [s for s in range(len(survey.station_positions)) if s != station_index]
-    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(other_stations), min_sights=0))
-    table = work.grid_setups(station_index)
+    work = problem.make_searcher(site.replace(survey=survey, fixed_station_indices=tuple(other_stations), min_sights=0))
+    table = work.grid_setup_blocks(station_index)
     objectives = work.replacement_objectives(
         work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
     )
@@ -232,12 +232,15 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
         position[station_index], yaw[station_index] = table.setup_positions[best], table.setup_yaws[best]
         there = survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))
         yaw_deg = yaw[station_index] / DEGREE
-        words = f"{_position_text(station, position[station_index])}, turned by {yaw_deg:.0f} deg"
+        words = f"{_station_position_text(station, position[station_index])}, turned by {yaw_deg:.0f} deg"
         x, y, z = position[station_index] / MILLIMETRE
         move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw_deg:g}"
         alternatives.append(_evaluate_alternative(problem, site, there, words, move))
     alone = _evaluate_alternative(problem, site, survey.without_station(station_index), f"without {station}")
-    return (alone, *sorted(alternatives, key=lambda option_: (not option_.meets_goal, option_.max_error_ratio)))
+    return (
+        alone,
+        *sorted(alternatives, key=lambda option_: (not option_.meets_goal, option_.max_tolerance_ratio_or_error)),
+    )
 
 
 def _plan_with_moved_stations(
@@ -279,7 +282,7 @@ def _position_numbers(name: str, position: object) -> Floats:
     return place
 
 
-def _position_text(station: str, place: Floats) -> str:
+def _station_position_text(station: str, place: Floats) -> str:
     """Text of the name of a station and its position (3,) [m]."""
     x, y, z = place
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
@@ -312,7 +315,10 @@ def _evaluate_alternative(
         check = check_tolerances(survey, demands, built)
         losses = checks_after_required_losses(survey, demands, built)
         ratio = max(
-            [check.max_ratio, *([loss.max_ratio for loss in losses] if demands.loss_to_withstand != "no" else [])]
+            [
+                check.max_tolerance_ratio,
+                *([loss.max_tolerance_ratio for loss in losses] if demands.loss_to_withstand != "no" else []),
+            ]
         )
         judgement = plan_verdict(demands, check, losses, broken)
         return StationAlternative(description, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)

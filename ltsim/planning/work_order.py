@@ -27,11 +27,11 @@ MIN_STRAIGHT_STRENGTH_GAIN = 0.1
 distance along the floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
-MAX_POSITION_AMBIGUITY = 0.03
+MAX_TAPE_POSITION_ERROR = 0.03
 """Largest uncertainty [m] of the position from three distances read with `TAPE_RESOLUTION`, above which the work order
 asks for another way to locate the tripod.
 """
-MIN_TAPE_MISCLOSURE = 0.1
+MIN_SECOND_INTERSECTION_MISCLOSURE = 0.1
 """Difference [m] between the third tape distance and the distance of its mark from the second intersection of the first
 two, below which the position is ambiguous."""
 MIN_TAPE_DISTANCE = 0.3
@@ -92,7 +92,7 @@ class StationInstruction:
     """Text of the direction of azimuth zero."""
     target_order: tuple[str, ...]
     """Targets in the order of their first pointing."""
-    repeated_targets: dict[str, float]
+    permitted_difference_by_repeated_target: dict[str, float]
     """Largest permitted difference [m] between both measurements of each target to be measured again at the end, by
     name of the target."""
     minutes: float
@@ -115,7 +115,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
         again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, N_REPEATED_POINTS).round().astype(int))]
         limit = {t: MIN_MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
-        tapes = _best_tape_distances(_tape_marks(plan, place, visible), place)
+        tapes = _best_tape_distances(_candidate_tape_distances(plan, place, visible), place)
         settings.append(
             StationInstruction(
                 name=name,
@@ -124,14 +124,14 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
                 deficiency_sentence=tape_deficiency_sentence(tapes, place),
                 zero_direction_text=_zero_direction_text(plan, place, float(survey.station_yaws[at]), visible),
                 target_order=tuple(recording.targets[t] for t in order),
-                repeated_targets={recording.targets[t]: value for t, value in limit.items()},
+                permitted_difference_by_repeated_target={recording.targets[t]: value for t, value in limit.items()},
                 minutes=len(rows) * survey.seconds_per_pointing / 60.0,
             )
         )
     return tuple(settings)
 
 
-def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
+def _candidate_tape_distances(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
     """Tape distances from a station at `place` (3,) [m] to possible marks, in order of preference.
 
     Distances within reach of a tape come before longer ones, those along the floor before straight ones, short ones
@@ -203,7 +203,7 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     """Sentence on why distances, read to `TAPE_RESOLUTION`, do not determine the position `place`; empty if they do."""
     if len(tape_distances) < 3:
         return "Fewer than three points are within reach of a tape: mark the position in another way."
-    if (strength := intersection_strength(tape_distances, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
+    if (strength := intersection_strength(tape_distances, place)) * MAX_TAPE_POSITION_ERROR < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / strength:.0f} cm" if strength > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, so the position is uncertain {wide}: mark it in another way."
     end_points = np.array([mark.mark_position[:2] for mark in tape_distances])
@@ -213,7 +213,10 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - direction * (gap @ direction))
     misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tape_distances]
-    if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
+    if (
+        np.linalg.norm(mirror - place[:2]) < MAX_TAPE_POSITION_ERROR
+        or np.abs(misses).max() > MIN_SECOND_INTERSECTION_MISCLOSURE
+    ):
         return ""
     return f"The two taped distances also meet at x {mirror[0]:.2f}, y {mirror[1]:.2f} m, which is not the station."
 
@@ -229,7 +232,7 @@ def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_vis
     return name if degrees == 0 else f"{degrees}° {'right' if direction_errors[best_index] > 0 else 'left'} of {name}"
 
 
-def check_sentences(plan: PlannedNetwork) -> list[str]:
+def operator_check_sentences(plan: PlannedNetwork) -> list[str]:
     """Checks that the operator makes during the measurement of a plan, in their order, one sentence each."""
     survey, file = plan.layout.survey, plan.plan_file
     sentences = [

@@ -3,7 +3,7 @@
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
 from ltsim.planning.tables import TAPE_DISTANCES_TABLE
-from ltsim.planning.work_order import check_sentences, station_instructions
+from ltsim.planning.work_order import operator_check_sentences, station_instructions
 from ltsim.reports.document_model import (
     Block,
     BulletListBlock,
@@ -58,13 +58,14 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
             plan.plot,
             "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        BulletListBlock("Checks", check_sentences(network)),
+        BulletListBlock("Checks", operator_check_sentences(network)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
     for s in stations:
         repetition_text = ", ".join(
-            f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items()
+            f"{name} within {limit / MILLIMETRE:.3f} mm"
+            for name, limit in s.permitted_difference_by_repeated_target.items()
         )
         work_text = f"{len(s.target_order)} points {faces}, {rounds}, {duration_text(60 * s.minutes)}"
         text = f"{work_text}: {', '.join(s.target_order)}. Again: {repetition_text}."

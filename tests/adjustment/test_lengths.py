@@ -170,7 +170,7 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     assert found.linear_uncertainty.evaluation_types["expansion of steel"] == "B"
     total = sum(share[0] for share in shares.values())
     assert total == pytest.approx(found.linear_uncertainty.covariance[0, 0], rel=1e-9)
-    adjusted = found.inputs.point_source
+    adjusted = found.inputs.network_or_coordinates
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
     arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)

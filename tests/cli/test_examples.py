@@ -12,7 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.acceptance.spec import load_acceptance
 from ltsim.campaigns.spec import load_campaign
-from ltsim.cli.examples import EXAMPLE_COMMANDS, example_text
+from ltsim.cli.examples import EXAMPLE_COMMANDS, example_file_content
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
 from ltsim.measurands.spec import load_tasks
@@ -52,7 +52,7 @@ def test_a_command_beside_a_file_runs_as_it_stands(name: str, tmp_path: Path, mo
 def test_templates_are_printed(verb: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([verb, "--show"]) == 0
     printed = capsys.readouterr().out
-    assert printed == example_text(name) and tomllib.loads(printed)["format"]
+    assert printed == example_file_content(name) and tomllib.loads(printed)["format"]
     assert run([verb]) == 2
     assert f"ltsim {verb} --show prints a template" in capsys.readouterr().err
 

@@ -31,7 +31,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(effects, "_list_line", broken)
+    monkeypatch.setattr(effects, "_effect_list_line", broken)
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said
@@ -121,7 +121,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(effects, "_list_line", stop)
+    monkeypatch.setattr(effects, "_effect_list_line", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; no partial file remains\n"
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.cli.output_checks import GENERATOR_TAG
+from ltsim.cli.output_checks import PAGE_GENERATOR_TAG
 from ltsim.recordings.files import write_text, write_texts
 
 
@@ -137,7 +137,7 @@ def test_files_that_are_named_replace_none(made: Path, capsys: pytest.CaptureFix
     page = made / "cal" / "report.html"
     page.write_text("mine")
     refused(["report", str(made / "cal")], capsys)
-    page.write_text(f"<head>{GENERATOR_TAG}")
+    page.write_text(f"<head>{PAGE_GENERATOR_TAG}")
     assert run(["report", str(made / "cal"), "-q"]) == 0
     assert run(["report", str(made / "cal"), "-q"]) == 0
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ltsim.cli.main import COMMANDS, command_function, run
-from ltsim.cli.options import _output_options, typer_command
+from ltsim.cli.options import _output_option_checks, typer_command
 from ltsim.cli.output_checks import COMPARED_FILE_OUTPUT, FILE_OUTPUT
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
@@ -59,7 +59,7 @@ def folder_outputs() -> set[tuple[str, str]]:
     return {
         (verb, name)
         for verb in COMMANDS
-        for name, _, output in _output_options(
+        for name, _, output in _output_option_checks(
             [*signature(typer_command(verb, command_function(verb))).parameters.values()]
         )
         if output not in (COMPARED_FILE_OUTPUT, FILE_OUTPUT)

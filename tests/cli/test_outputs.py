@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from ltsim.cli.main import COMMANDS, command_function, run
-from ltsim.cli.options import _output_options, typer_command
+from ltsim.cli.options import _output_option_checks, typer_command
 
 INPUTS = {
     "after", "against", "cad", "calibration", "control", "file", "frame", "history", "nominal", "place", "plan",
@@ -32,7 +32,7 @@ def outputs_of(verb: str) -> dict[str, str]:
     """Spelling of the options and arguments of a verb that are marked as outputs, by name."""
     return {
         name: flag
-        for name, flag, _ in _output_options(
+        for name, flag, _ in _output_option_checks(
             [*signature(typer_command(verb, command_function(verb))).parameters.values()]
         )
     }

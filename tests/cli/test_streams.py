@@ -90,7 +90,7 @@ def test_warnings_do_not_reach_the_user(inputs: Path) -> None:
         "import numpy as np\n"
         "terminal.prepare_streams()\n"
         "warning = lambda *_: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers') or ''\n"
-        "effects._list_line = warning\n"
+        "effects._effect_list_line = warning\n"
         "run(['effects'])"
     )
     asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ltsim.cli.examples import EXAMPLE_COMMANDS, example_text
+from ltsim.cli.examples import EXAMPLE_COMMANDS, example_file_content
 from ltsim.cli.main import run
 
 NOTEBOOKS = [name for name in EXAMPLE_COMMANDS if name.endswith(".ipynb")]
@@ -29,7 +29,7 @@ def test_there_are_three_notebooks_with_their_outputs() -> None:
     nbformat = pytest.importorskip("nbformat", reason="notebooks are read by nbformat")
     assert len(NOTEBOOKS) == 3
     for name in NOTEBOOKS:
-        book = nbformat.reads(example_text(name), 4)
+        book = nbformat.reads(example_file_content(name), 4)
         nbformat.validate(book)
         code = [cell for cell in book.cells if cell.cell_type == "code"]
         assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))

@@ -79,7 +79,9 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     }
     own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
-        block = inputs.point_source.target_covariance[inputs.point_source.recording.targets.index(name)]
+        block = inputs.network_or_coordinates.target_covariance[
+            inputs.network_or_coordinates.recording.targets.index(name)
+        ]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
 
 
@@ -95,7 +97,9 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
     assert type_b_names == names | {PRIOR_SOURCE, LENGTHS_SOURCE}
     for i, name in enumerate(inputs.target_names):
-        block = inputs.point_source.target_covariance[inputs.point_source.recording.targets.index(name)]
+        block = inputs.network_or_coordinates.target_covariance[
+            inputs.network_or_coordinates.recording.targets.index(name)
+        ]
         own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
     largest = max(np.trace(source.covariance) for source in inputs.sources if source.name in names)
@@ -142,7 +146,11 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     from ltsim.physics.effects import find_effect
 
     weather = find_effect("station-weather")()
-    design = weather.design(inputs.point_source.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
+    design = (
+        weather.design(inputs.network_or_coordinates.sightings)[:, :, 0]
+        * weather.parameters[0].prior_sigma
+        / np.sqrt(3)
+    )
     for i in range(60):
         rng = random_stream(5, "spread", i)
         error = rng.standard_normal(recording.readings.shape) * recording.sigma()
@@ -150,7 +158,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
             points = adjust_from_state(
-                again, misalignment_construction(), start_state=inputs.point_source.state
+                again, misalignment_construction(), start_state=inputs.network_or_coordinates.state
             ).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))

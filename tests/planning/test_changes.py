@@ -16,7 +16,7 @@ from ltsim.planning.objective import INSTRUMENT_QUALITY_NAME, TARGETS_QUALITY_NA
 from ltsim.planning.planner import objective_and_qualities
 from ltsim.planning.reflector_changes import ReflectorChangeEntry, evaluate_reflector_changes
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.search_inputs import is_fixed_target, is_immovable_target, make_search_space
+from ltsim.planning.search_inputs import is_target_fixed_in_search, is_target_never_moved, make_search_space
 from ltsim.planning.survey import PlannedSurvey
 from tests.planning.test_hall import HALL, points_csv
 from tests.planning.test_search import site
@@ -53,7 +53,7 @@ def point_error(survey: PlannedSurvey, names: list[str]) -> float:
 @pytest.mark.parametrize("weights", [{INSTRUMENT_QUALITY_NAME: 1.0}, {TARGETS_QUALITY_NAME: 1.0}])
 def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
-    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     objective = LayoutObjective(weights)
     found = evaluate_reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
     assert {change.kind for change in found.reported_changes} == {"move", "add", "remove"}
@@ -78,20 +78,20 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
 
 def test_what_was_tried_and_did_not_help_is_said() -> None:
     places, names = wall_places()
-    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     made = choose_reflectors(where, where.survey, STAYS, LayoutObjective(), misalignment_construction())
     found = evaluate_reflector_changes(where, made, np.arange(28) < 4, LayoutObjective(), misalignment_construction())
-    assert found.n_useful["move"] == 0, "the exchange has made every move that helps"
-    assert found.n_tried["move"] > 300
-    assert f"{found.n_tried['move']} moves of a reflector (0 help)" in found.summary_sentence
+    assert found.n_useful_by_kind["move"] == 0, "the exchange has made every move that helps"
+    assert found.n_evaluated_by_kind["move"] > 300
+    assert f"{found.n_evaluated_by_kind['move']} moves of a reflector (0 help)" in found.summary_sentence
     alone = evaluate_reflector_changes(site(), site().survey, STAYS, LayoutObjective(), misalignment_construction())
-    assert alone.n_tried == {"move": 0, "add": 0, "remove": 24}
+    assert alone.n_evaluated_by_kind == {"move": 0, "add": 0, "remove": 24}
     assert "Give candidate places" in alone.summary_sentence
 
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     places, names = wall_places()
-    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     made = choose_reflectors(
         where, where.survey, STAYS, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
     )
@@ -113,12 +113,12 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         file, scenario = load_plan(tmp_path / "hall.toml")
         where = make_search_space(file, scenario, n_stations=4, n_faces=1).replace(min_sights=1)
         survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
-        stays = is_immovable_target(file, scenario, survey)
+        stays = is_target_never_moved(file, scenario, survey)
         found = evaluate_reflector_changes(
             where, survey, stays, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
         )
-        assert is_fixed_target(file, scenario).all(), "the search leaves the points of a list where they are"
-        assert {what for what, count in found.n_tried.items() if count} == {
+        assert is_target_fixed_in_search(file, scenario).all(), "the search leaves the points of a list where they are"
+        assert {what for what, count in found.n_evaluated_by_kind.items() if count} == {
             "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
         }[name]  # fmt: skip
         for change in found.reported_changes:

@@ -213,7 +213,7 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         content = lt.plan(hall)
         made = content.network
         assert made.tolerance_check is not None
-        assert made.tolerance_check.meets_all
+        assert made.tolerance_check.meets_all_tolerances
         counts[robust] = len(made.layout.survey.station_positions)
         assert content.tolerances_met
         assert sum(r.point_error_mm is not None and r.point_error_mm <= 0.03 for r in content.reflectors) == 8
@@ -237,7 +237,7 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     content = lt.plan(hall)
     assert content.network.tolerance_check is not None
-    assert not content.network.tolerance_check.meets_all
+    assert not content.network.tolerance_check.meets_all_tolerances
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
     assert not content.goal_reached
     page = work_order_page(content)
@@ -333,7 +333,7 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
         assert tape_deficiency_sentence(found, place) == ""
     assert len(work_order._best_tape_distances(in_line[:2], place)) == 2
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
-    monkeypatch.setattr(work_order, "_tape_marks", lambda plan, place, visible: in_line[:2])
+    monkeypatch.setattr(work_order, "_candidate_tape_distances", lambda plan, place, visible: in_line[:2])
     assert "S1: Fewer than three points are within reach of a tape" in work_order_page(lt.plan(hall))
 
 
@@ -351,7 +351,7 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
         StationCountResult(4, None, False, "M2"),
         StationCountResult(5, 1.2, True),
     ]
-    assert reasons._count_result_clauses(tried, 2) == [
+    assert reasons._station_count_clauses(tried, 2) == [
         "3 to 4 stations: no layout has every point in sight of 2 stations (the closest layout lacks sights of M2)",
         "5 stations: the best layout has an error of 1.2 times its tolerance",
     ]

@@ -40,7 +40,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     sigma = np.sqrt(np.diag(solved.first_instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)
     trace = np.einsum("tii->t", solved.with_inner_datum().target_covariance)
-    assert information.target_sigmas == pytest.approx(np.sqrt(trace), rel=1e-3)
+    assert information.target_point_errors == pytest.approx(np.sqrt(trace), rel=1e-3)
 
 
 def test_undetermined_combinations_have_the_gain_they_state() -> None:
@@ -68,7 +68,7 @@ def test_pose_covariance_does_not_depend_on_the_frame() -> None:
     a, b = first.pose_covariance[order], second.pose_covariance
     scale = np.sqrt(np.einsum("sii->si", a))
     assert np.abs((a - b) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-7
-    assert first.target_sigmas == pytest.approx(second.target_sigmas, rel=1e-9)
+    assert first.target_point_errors == pytest.approx(second.target_point_errors, rel=1e-9)
 
 
 @pytest.mark.parametrize("faces", [(1,), (1, 2)])

@@ -22,9 +22,9 @@ from ltsim.planning.tolerances import (
     PointTolerances,
     ToleranceCheck,
     is_tolerance_met,
-    percent_text,
     plan_verdict,
     text_distinct_from_limit,
+    tolerance_ratio_text,
 )
 
 PLAN = """format = "ltsim-plan/1"
@@ -167,14 +167,14 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
     demands = PointTolerances({"A": 1e-4})
     missed = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.004e-4}, 1.004, "A")
     said = plan_verdict(demands, missed, [])
-    assert not said.is_goal_reached and not missed.meets_all and missed.exceeding_points == ["A"]
+    assert not said.is_goal_reached and not missed.meets_all_tolerances and missed.exceeding_points == ["A"]
     assert said.sentences.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
     far = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.236e-4}, 1.236, "A")
-    assert "(24 % too large)" in far.worst_point_text
+    assert "(24 % too large)" in far.worst_point_margin_text
     assert (
-        percent_text(1.004) == "100.4 %"
-        and percent_text(0.8543) == "85.4 %"
-        and percent_text(1.0 + 1e-9).startswith("100.0000001")
+        tolerance_ratio_text(1.004) == "100.4 %"
+        and tolerance_ratio_text(0.8543) == "85.4 %"
+        and tolerance_ratio_text(1.0 + 1e-9).startswith("100.0000001")
     )
     assert (
         text_distinct_from_limit(0.1004, 0.1) == "0.1004"

@@ -82,7 +82,7 @@ def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: igno
     work = searcher(site())
     here = work.layout_blocks(found.positions, found.yaws)
     for slot in range(3):
-        assert work.best_replacement(here, slot, work.grid_setups(slot))[1] > found.objective_value * (1 - 1e-3)
+        assert work.best_replacement(here, slot, work.grid_setup_blocks(slot))[1] > found.objective_value * (1 - 1e-3)
 
 
 def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[no-untyped-def]
@@ -132,10 +132,10 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     problem = PlanningProblem(file, scenario)
     work = problem.make_searcher(problem.search_space(SearchTask(4, 1, 0)))
     drawn = [work.random_layout(random_stream(0, "plan", 4, k)) for k in range(4)]
-    apart = [layout for layout in drawn if not np.isfinite(work._objective_of(layout))]
+    apart = [layout for layout in drawn if not np.isfinite(work._objective_of_layout(layout))]
     assert len(apart) > 1
     bound = [work._connect_stations(layout) for layout in apart]
-    assert sum(np.isfinite(work._objective_of(layout)) for layout in bound) > 1
+    assert sum(np.isfinite(work._objective_of_layout(layout)) for layout in bound) > 1
     assert all(
         work.search_space.is_feasible(layout.setup_positions[None], layout.is_visible[None])[0] for layout in bound
     )
@@ -147,7 +147,7 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
 
 
 def test_a_fixed_station_stays() -> None:
-    where = site(fixed_stations=(0,))
+    where = site(fixed_station_indices=(0,))
     made = searcher(where).search_from(1, 2)
     assert np.array_equal(made.positions[0], where.survey.station_positions[0])
     assert made.yaws[0] == pytest.approx(where.survey.station_yaws[0])
@@ -242,7 +242,7 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
     wall = np.stack([np.zeros(24), along.ravel(), height.ravel()], axis=1)
     places = np.concatenate([wall, wall[:, [1, 0, 2]]])
     names = tuple(f"P{i}" for i in range(len(places)))
-    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     stays = np.arange(28) >= 24
     made = choose_reflectors(where, where.survey, stays, LayoutObjective(), misalignment_construction())
     before = d_criterion(LayoutInformation.from_survey(where.survey).scaled_covariance)

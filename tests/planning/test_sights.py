@@ -28,7 +28,7 @@ def test_what_can_be_had_is_had() -> None:
     assert max_stations_seeing_every_target(site(), 0.5, 2)[0] == 3
     found, limiting = max_stations_seeing_every_target(short_sighted(3), 0.5, 2)
     assert 1 <= found < 3
-    position = short_sighted(3).grid_places(0.5, 2)
+    position = short_sighted(3).grid_station_positions(0.5, 2)
     share = short_sighted(3).is_visible(position).mean(axis=0)
     assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
 

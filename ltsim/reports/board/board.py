@@ -17,7 +17,7 @@ from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import layout_visibility
-from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
+from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, load_plan_and_scenario, with_cad_file_copies, with_layout
 from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.search_space import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
@@ -28,8 +28,8 @@ from ltsim.planning.tolerances import (
     checks_after_required_losses,
     error_radius,
     is_tolerance_met,
-    percent_text,
     plan_verdict,
+    tolerance_ratio_text,
 )
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.settings import to_toml
@@ -119,7 +119,7 @@ class MovableLayout:
         These are P grid positions with enough visible targets.
         """
         search = self.plan_file.search
-        places = self.search_space.grid_places(
+        places = self.search_space.grid_station_positions(
             grid_step(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
@@ -195,7 +195,10 @@ class MovableLayout:
         except LtsimError as problem:
             return evaluation | {"problem": f"{problem}"}
         points: list[dict[str, Any] | None] = [None] * len(visible)
-        sigmas, error_radii = information.target_sigmas, error_radius(covariance, self.tolerances.confidence_level)
+        sigmas, error_radii = (
+            information.target_point_errors,
+            error_radius(covariance, self.tolerances.confidence_level),
+        )
         for k, t in enumerate(np.flatnonzero(visible)):
             accuracy = {"sigma_um": float(sigmas[k]) / MICROMETRE, "within_um": float(error_radii[k]) / MICROMETRE}
             tolerance = self.tolerances.tolerance_by_point_m.get(survey.target_names[t])
@@ -231,7 +234,7 @@ class MovableLayout:
         names = list(scenario.stations)
         plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed_stations": names}
-        scenario, cad_files = copy_cad_files(scenario)
+        scenario, cad_files = with_cad_file_copies(scenario)
         texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
         write_texts(folder, {**cad_files, **texts})
         return [folder / name for name in texts]
@@ -241,7 +244,7 @@ def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
     """Data of a point for the page, by key: ratio of error to tolerance, this ratio as text, and if it is met."""
     return {
         "ratio": error_to_tolerance,
-        "used": percent_text(error_to_tolerance),
+        "used": tolerance_ratio_text(error_to_tolerance),
         "met": is_tolerance_met(error_to_tolerance),
     }
 

@@ -128,8 +128,8 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
-    actions = [*([action] if moved_targets else []), *recommendations_for_causes(content.faults)]
-    assessment = "caution" if content.faults and not moved_targets else assessment_of(not moved_targets)
+    actions = [*([action] if moved_targets else []), *recommendations_for_causes(content.corrected_faults)]
+    assessment = "caution" if content.corrected_faults and not moved_targets else assessment_of(not moved_targets)
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment, facts, [picture, *table],
         axes_text="those of the first epoch", next_actions=actions,
@@ -214,7 +214,7 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     )
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     warnings: list[Block] = [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
-    blocks = [*warnings, *blocks] if content.has_faults else [*blocks, *warnings]
+    blocks = [*warnings, *blocks] if content.has_faults_or_misfit else [*blocks, *warnings]
     fields = ("source", "evaluation_type=type", "standard_uncertainty=sigma", "variance_fraction=variance fraction")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
@@ -232,7 +232,7 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
         content.title or "Uncertainty of tasks",
         "Uncertainty",
         f"{capitalised_sentence(answer)} {content.corrections_text}".rstrip(),
-        "caution" if content.has_faults and assessment == "good" else assessment,
+        "caution" if content.has_faults_or_misfit and assessment == "good" else assessment,
         facts,
         blocks,
         axes_text=content.frame,

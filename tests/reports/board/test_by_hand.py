@@ -47,7 +47,7 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
         board.search_space.survey.station_positions[1, 0] + 0.5, abs=1e-4
     )
     information = LayoutInformation.from_survey(survey, board.construction)
-    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigmas)
+    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_point_errors)
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
     assert (np.array(found["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
     assert found["shadow"] == pytest.approx(survey.station_positions[:, 2] * np.tan(np.radians(35)))
@@ -62,7 +62,7 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     said = board.verdict_json(stations)
     assert said is not None
     assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
-    assert ("any one station all are met" in said["words"]) == all(one.meets_all for one in lost)
+    assert ("any one station all are met" in said["words"]) == all(one.meets_all_tolerances for one in lost)
     stations[0]["position_mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
     assert board.verdict_json(stations) is None
 
