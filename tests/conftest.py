@@ -42,8 +42,9 @@ def shared() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def no_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a verb says after ten seconds depends on the clock: tests that look at it shorten the wait themselves."""
+def no_notes_on_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command without notes that depend on the clock or on compiled code from earlier runs."""
     from ltsim.cli import terminal
 
-    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 3600.0)
+    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 3600.0)  # tests of the progress shorten the delay themselves
+    monkeypatch.setattr(terminal.Terminal, "print_note_on_compilation", lambda self: None)
