@@ -20,7 +20,6 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
     MIN_GROSS_SIGMAS,
-    MIN_LOG_EVIDENCE_CERTAIN,
 )
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axes_point_finding, blunder_finding, cause_test_finding
@@ -45,10 +44,7 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
     are included only if any shift is gross, because a search that is linear in the effects cannot explain a gross one.
     Then all shifts are included, because each was tested given the others. Changes of the noise are not included.
     """
-    fit, chosen = (
-        selection.fit,
-        [c.hypothesis for c in selection.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN],
-    )
+    fit, chosen = selection.fit, [c.hypothesis for c in selection.selected_hypotheses if c.is_certain]
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(
         largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.estimate_length_in_sigmas(h) > MIN_GROSS_SIGMAS
@@ -63,7 +59,7 @@ def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateE
     changes = (
         c.hypothesis.model_change
         for c in selection.selected_hypotheses
-        if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis not in corrected
+        if c.is_certain and c.hypothesis not in corrected
     )
     effects = (change.effect for change in changes if isinstance(change, ReadingShiftChange))
     return tuple(cast(CandidateEffect, effect) for effect in effects if type(effect) in CATALOGUE)
@@ -114,8 +110,5 @@ def adjustment_without_blunders(
             moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
         )
     axes = [test for test in baseline.axes_point_tests if test.is_excluded]
-    return (
-        baseline,
-        ~errors,
-        [*map(cause_test_finding, tests), *map(axes_point_finding, axes), *map(blunder_finding, tripods)],
-    )
+    findings = [*map(cause_test_finding, tests), *map(axes_point_finding, axes), *map(blunder_finding, tripods)]
+    return baseline, ~errors, [finding.model_copy(update={"is_corrected_before_search": True}) for finding in findings]

@@ -118,6 +118,8 @@ class Finding(Entry):
     """Identifier of the effect in the catalogue, or `unknown`."""
     is_catalogued: bool = Field(default=True, alias="known")
     """True for an effect of the catalogue."""
+    is_corrected_before_search: bool = False
+    """True if the readings were corrected by the finding, or were left out, before the global test and the search."""
     sentence: str = ""
     """Description of the finding in a few sentences."""
     where: FindingScope = FindingScope()

@@ -74,9 +74,7 @@ def test_the_answer_says_whether_the_findings_improve_predictions(before: float,
 
 def test_cards_of_corrected_readings_name_the_corrected_finding(tmp_path: Path) -> None:
     content = copy.deepcopy(samples.DIAGNOSIS)
-    content["tests"] = [{"kind": "target-moved", "acts_on": "position", "where": {}, "statistic": 9.0, "dof": 3,
-                         "sentence": "Target T05 moved."}]  # fmt: skip
-    moved = finding("target-moved", "nest-lift").model_copy(update={"sentence": "Target T05 moved."})
+    moved = finding("target-moved", "nest-lift").model_copy(update={"is_corrected_before_search": True})
     context = SectionContext(folder=tmp_path)
     for findings, labels in (
         ([], ["findings", "global test, two-sided p", "chi2 per degree of freedom"]),

@@ -183,15 +183,9 @@ def _key_figures(content: Diagnosis) -> list[KeyFigure]:
 
 
 def _corrected_findings_text(content: Diagnosis) -> str:
-    """Text of the numbers of the findings that were corrected before the global test; empty if there are none.
-
-    They are the findings of tests, and those without a p-value; a change of the noise is not corrected.
-    """
-    sentences = {test.sentence for test in content.tests}
+    """Text of the numbers of the findings that were corrected before the global test; empty if there are none."""
     numbers = [
-        str(number)
-        for number, finding in enumerate(content.findings, start=1)
-        if finding.sentence in sentences or (finding.evidence.p_value is None and finding.effect != "noise-level")
+        str(number) for number, finding in enumerate(content.findings, start=1) if finding.is_corrected_before_search
     ]
     return f"finding{'s' if len(numbers) > 1 else ''} {listing(numbers)}" if numbers else ""
 
