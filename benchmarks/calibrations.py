@@ -153,7 +153,7 @@ def parts() -> None:
     x, predicted = network._first_step(block.reading_deviations, block.length_errors)
     gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
-    raw = judge.station_clouds(block.reading_deviations)
+    raw = judge.mean_points_by_station(block.reading_deviations)
     steps: dict[str, Callable[[], object]] = {
         "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
         "draw: exact readings, two Newton steps": lambda: truth._exact_deviations(block.instrument_values),
@@ -163,11 +163,11 @@ def parts() -> None:
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
-        "judge: points of one set of parameters (three times)": lambda: judge.station_clouds(
+        "judge: points of one set of parameters (three times)": lambda: judge.mean_points_by_station(
             block.reading_deviations, engine.construction, found.instrument_values
         ),
         "judge: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
-        "judge: error against the truth (three times)": lambda: judge.cloud_error(raw),
+        "judge: error against the truth (three times)": lambda: judge.measured_point_error(raw),
     }
     print("\nWhere the time goes, us a trial:\n")
     rows = [[name, f"{1e6 * seconds(step, 20) / TRIALS_PER_STREAM:.1f}"] for name, step in steps.items()]

@@ -86,8 +86,8 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
-                raw = judge.station_clouds(own.reading_deviations)
-                corrected = judge.station_clouds(own.reading_deviations, calibrator.construction, values)
+                raw = judge.mean_points_by_station(own.reading_deviations)
+                corrected = judge.mean_points_by_station(own.reading_deviations, calibrator.construction, values)
                 for i in wanted:
                     row = {}
                     for when, clouds in (("before", raw), ("after", corrected)):

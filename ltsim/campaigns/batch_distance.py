@@ -28,7 +28,7 @@ from ltsim.calibration.distance_solver import (
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
 from ltsim.campaigns.chain_program import ChainProgram
-from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
+from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.truth import TrialBatch
@@ -100,16 +100,18 @@ class BatchDistance(BatchCalibrator):
 
         A step contains only the estimated combinations of parameters.
         """
-        rows, determined = self._mean_deviation_rows, self._estimated_combinations
+        rows, determined = self._mean_deviation_comparisons, self._estimated_combinations
         normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_deviation_rows(self) -> ComparedDistances:
+    def _mean_deviation_comparisons(self) -> ComparedDistances:
+        """Deviations of distances from their mean over the stations, at the nominal parameters."""
         return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
-    def _pair_difference_rows(self) -> ComparedDistances:
+    def _pair_difference_comparisons(self) -> ComparedDistances:
+        """Differences of a distance between two stations, or from the gauge, at the nominal parameters."""
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
@@ -117,7 +119,7 @@ class BatchDistance(BatchCalibrator):
         return self.truth.chain_program(self.construction)
 
     @cached_property
-    def _pointing_sets(self) -> tuple[Ints, Bools, Floats, Ints]:
+    def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set and weight of each pointing, mask of the targets of each set, pairs of targets with a reference length.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
@@ -154,7 +156,7 @@ class BatchDistance(BatchCalibrator):
         The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
         """
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
-        sets, visible, share, gauge = self._pointing_sets
+        sets, visible, share, gauge = self._distance_objective_arrays
         recording, trials = self.truth.recording, deviation.shape[2]
         reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + trial_batch.length_errors
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
@@ -162,7 +164,7 @@ class BatchDistance(BatchCalibrator):
         for _ in range(MAX_DISTANCE_FIT_STEPS):
             compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
-            add_station_means(points, sets, recording.target, share, clouds)
+            add_weighted_points(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
             distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
@@ -203,7 +205,9 @@ class BatchDistance(BatchCalibrator):
             )
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
-                design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ combinations_by_trial[trial])
+                design = self._pair_difference_comparisons.comparison_matrix @ (
+                    by_unknown @ combinations_by_trial[trial]
+                )
                 if self.uses_absolute_deviations:  # every step except the first is short
                     step = solve_least_absolute(
                         design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
@@ -220,7 +224,7 @@ class BatchDistance(BatchCalibrator):
         They are the principal axes of the objective for the trial's `readings` (pointings, 3) that are nearest to the
         combinations estimated at the nominal readings (`_estimated_combinations`).
         """
-        design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
+        design = self._mean_deviation_comparisons.comparison_matrix @ self.distance_problem.parameter_derivatives(
             readings, np.zeros(self.distance_problem.prior_sigma.size)
         )
         axes = np.linalg.eigh(design.T @ design)[1]
@@ -241,7 +245,7 @@ class BatchDistance(BatchCalibrator):
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
-        rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
+        rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors

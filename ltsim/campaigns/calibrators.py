@@ -28,7 +28,7 @@ from ltsim.campaigns.trial_calibrators import (
     CalibratedBatch,
     SerialCalibrator,
     TrialCalibrator,
-    suspect_trial_mask,
+    possible_gross_error_mask,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch
@@ -157,17 +157,19 @@ class GeometryStack(CellTruth):
         ]
         instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact_deviations(instrument_values)
-        single_trials = tuple(
+        single_trial_batches = tuple(
             truth.batch_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         effect_values = tuple(
             np.concatenate(parts, axis=1)
-            for parts in zip(*(batch.effect_values for batch in single_trials), strict=True)
+            for parts in zip(*(batch.effect_values for batch in single_trial_batches), strict=True)
         )
-        length_errors = np.concatenate([batch.length_errors for batch in single_trials], axis=1)
-        deviation = self.stack_arrays(batch.reading_deviations[:, :, 0] for batch in single_trials)
-        return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
+        length_errors = np.concatenate([batch.length_errors for batch in single_trial_batches], axis=1)
+        deviation = self.stack_arrays(batch.reading_deviations[:, :, 0] for batch in single_trial_batches)
+        return TrialBatch(
+            trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trial_batches
+        )
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
@@ -182,7 +184,7 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
-        key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
+        key = (*names, pattern, judge.has_criteria, judge.is_frame_determined.tobytes())
         trials_by_pattern.setdefault(key, []).append(number)
     for numbers in trials_by_pattern.values():
         yield GeometryStack.from_truths(tuple(truths[number] for number in numbers)), np.array(numbers)
@@ -220,14 +222,14 @@ class StackCalibrator(TrialCalibrator):
     def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
         """Estimates of the trials of a batch; a trial with undetermined parameters has the status failed."""
         calibrated = CalibratedBatch.from_failed_trials(
-            self.truth, self.construction, self.effects, len(trial_batch.single_trials)
+            self.truth, self.construction, self.effects, len(trial_batch.single_trial_batches)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
         remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_numbers
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
-                    trial_batch.single_trials[trial], np.zeros(1, dtype=np.int64)
+                    trial_batch.single_trial_batches[trial], np.zeros(1, dtype=np.int64)
                 )
             except (NetworkError, InputError):
                 continue
@@ -273,7 +275,7 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        is_doubtful = ~fit.has_converged | suspect_trial_mask(trial_batch.reading_deviations, stack.local_points)
+        is_doubtful = ~fit.has_converged | possible_gross_error_mask(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
             calibrated_batch.copy_results_of_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
@@ -288,7 +290,7 @@ class StackCalibrator(TrialCalibrator):
         )
         single_batch = CalibratedBatch(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
         return self.single_trial_calibrator(trial).largest_solver_difference(
-            trial_batch.single_trials[trial], 0, single_batch
+            trial_batch.single_trial_batches[trial], 0, single_batch
         )
 
 
@@ -330,9 +332,9 @@ class StackedNetwork(BatchNetwork):
         return np.stack([part._point_derivatives for part in self.networks], axis=-1)
 
     @cached_property
-    def _expected_reading_change(self) -> Floats | None:
+    def _bench_tested_reflector_change(self) -> Floats | None:
         """Expected change (pointings, 3, trials) of readings by bench-tested reflectors; None without such ones."""
-        shifts = [shift for part in self.networks if (shift := part._expected_reading_change) is not None]
+        shifts = [shift for part in self.networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property

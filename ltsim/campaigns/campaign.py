@@ -30,14 +30,14 @@ from ltsim.campaigns.spec import (
     CampaignFile,
     cad_files,
     load_campaign,
-    local_file,
     make_cells,
+    path_relative_to_campaign_file,
     read_cad,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
-from ltsim.campaigns.truth import make_small_geometry
+from ltsim.campaigns.truth import make_campaign_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
 from ltsim.core.parallel import run_parallel
@@ -165,7 +165,7 @@ def _input_files(
     If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
     """
     names = (campaign.scenario, campaign.validation_points)
-    named = [path for name in names if name and (path := local_file(name, file))]
+    named = [path for name in names if name and (path := path_relative_to_campaign_file(name, file))]
     contents = {path.name: read_whole_file(path) for path in named}
     root = (named[0] if named else file).resolve().parent
     scenarios = (place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None)
@@ -188,10 +188,10 @@ def _configuration_notes(
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_input_error(f"{file}: {where}"):
-            geometry = make_small_geometry(cell.scenario, campaign.seed)
+            geometry = make_campaign_geometry(cell.scenario, campaign.seed)
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
-                make_small_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
+                make_campaign_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
     return unused_settings
 
 

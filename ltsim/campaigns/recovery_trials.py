@@ -17,11 +17,11 @@ from ltsim.campaigns.recovery_checks import (
     NOMINAL_COVERAGE,
     RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
-    chi_square_check,
     fixed_truth_checks,
-    mean_check,
     parameter_checks,
     tolerance_check,
+    total_chi2_check,
+    unit_mean_check,
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
@@ -33,7 +33,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
-from ltsim.core.results import Table, columns_of, number_columns, text_columns
+from ltsim.core.results import Table, columns_of_model, number_columns, text_columns
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
@@ -48,7 +48,7 @@ CONVERGENCE_CHECK_NAME = "convergence"
 class RecoveryTolerance(NamedTuple):
     """Limit within which 95 % of the errors of a parameter must lie."""
 
-    max_error: float
+    error_limit_95: float
     """Limit in the unit of the parameter."""
     text: str
     """Limit as the user gave it, with its unit."""
@@ -81,7 +81,7 @@ class RecoveredParameter(Entry):
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
-    "parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter)
+    "parameters.csv", "errors of each parameter over the trials", columns_of_model(RecoveredParameter)
 )
 TRIALS_TABLE = Table(
     "trials.csv",
@@ -194,7 +194,7 @@ class RecoveryTrials(ValueEquality):
     error_origin: ErrorOrigin = "drawn"
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
-    run_time: float = 0.0
+    run_time_s: float = 0.0
     """Run time of the trials [s]."""
     last_failure_reason: str = ""
     """Reason of the last failure of a trial."""
@@ -315,7 +315,7 @@ class RecoveryTrials(ValueEquality):
                 self._stack_attribute("estimates")[:, parameter_index]
                 - self._stack_attribute("true_values")[:, parameter_index]
             )
-            checks.append(tolerance_check(name, error, given.max_error, given.text))
+            checks.append(tolerance_check(name, error, given.error_limit_95, given.text))
         return checks
 
     def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
@@ -324,9 +324,9 @@ class RecoveryTrials(ValueEquality):
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_sigma")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
-            checks.append(chi_square_check(chi2, expected, spread, alpha))
+            checks.append(total_chi2_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square_z") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(mean_check(what, "mean squared error over variance", squares, alpha))
+                checks.append(unit_mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

@@ -201,7 +201,7 @@ def score_calibration(
         noisy, (error + missed @ expected.mean_true_values) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan
     )
     network = NetworkScore(
-        *_network_scores(calibration, truth, expected),
+        *_network_mean_square_z(calibration, truth, expected),
         calibration.fit.chi2,
         calibration.fit.dof,
         *_expected_chi2(calibration, expected),
@@ -212,7 +212,7 @@ def score_calibration(
         [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
     true_by_name = true_parameters(truth)
-    fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in true_by_name}
+    fitted = {name: entry for name, entry in _effect_parameter_estimates(calibration).items() if name in true_by_name}
     plain = np.all(expected.true_value_sigmas[:n_parameters] == 1.0) and not np.any(
         expected.mean_true_values[:n_parameters]
     )  # otherwise priors bias the effects too
@@ -229,7 +229,7 @@ def score_calibration(
     return TrialScore(names, shown, value, sigma, right, scores, network)
 
 
-def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
+def _effect_parameter_estimates(calibration: Calibration) -> dict[str, ParameterEstimate]:
     """Estimates of the parameters of effects in a calibration, by the names that `true_parameters` uses."""
     effect_entries = calibration.effects
     names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in effect_entries)
@@ -256,7 +256,9 @@ def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistri
     )
 
 
-def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParameterDistribution) -> tuple[float, float]:
+def _network_mean_square_z(
+    calibration: Calibration, truth: Truth, expected: TrueParameterDistribution
+) -> tuple[float, float]:
     """Mean squares of error divided by standard deviation: of all targets, and of the poses of stations.
 
     Bias and variance by the prior are taken into account, so that both have expectation one. They are NaN for a datum

@@ -28,14 +28,14 @@ from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
 from ltsim.core.errors import InputError, RecordError, option_text
-from ltsim.core.limits import MAX_SHARD_ROWS
+from ltsim.core.limits import MAX_READ_SHARD_ROWS
 from ltsim.core.storage import (
     append_text,
     complete_interrupted_moves,
     open_for_reading,
     path_in_folder,
     read_whole_file,
-    require_single_name,
+    require_no_link,
     write_files,
 )
 from ltsim.recordings.result_file import read_result
@@ -87,8 +87,8 @@ def read_shard(path: Path) -> pa.Table:
 
 def _require_few_rows(path: Path, metadata: pq.FileMetaData) -> None:
     """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
-    if metadata.num_rows > MAX_SHARD_ROWS:
-        raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_SHARD_ROWS}")
+    if metadata.num_rows > MAX_READ_SHARD_ROWS:
+        raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_READ_SHARD_ROWS}")
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> InputError:
@@ -253,7 +253,7 @@ class CampaignFolder:
         """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            require_single_name(self.folder, LOCK_FILE)  # the library may empty the file
+            require_no_link(self.folder, LOCK_FILE)  # the library may empty the file
             lock = FileLock(self.folder / LOCK_FILE, blocking=False)
             try:
                 lock.acquire()

@@ -29,10 +29,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certified_lengths
 
-MIN_SUSPECT_DEVIATION_M = 0.6e-3
+MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
 """Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
-`MIN_SUSPECT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross errors."""
-MIN_SUSPECT_RATIO = 10.0
+`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross
+errors."""
+MIN_GROSS_ERROR_DISPLACEMENT_RATIO = 10.0
 """Ratio of the largest to the median displacement of the measured points of a trial from their nominal positions, above
 which the trial may contain a gross error."""
 
@@ -172,7 +173,7 @@ def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[B
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
-def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
+def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
     """Mask (trials,) of the trials that may contain a gross error, so that the full solver must solve them.
 
     `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points`, (pointings, 3,
@@ -182,10 +183,10 @@ def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bool
     miss = reading_deviations * np.stack(
         [np.ones_like(horizontal), horizontal, np.sqrt(np.sum(local_points**2, axis=1))], axis=1
     )
-    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_SUSPECT_DEVIATION_M
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_GROSS_ERROR_DISPLACEMENT_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
-        far[trial] = size.max() > MIN_SUSPECT_RATIO * np.median(size)
+        far[trial] = size.max() > MIN_GROSS_ERROR_DISPLACEMENT_RATIO * np.median(size)
     return far
 
 
@@ -282,7 +283,7 @@ class BatchCalibrator(TrialCalibrator):
         """Estimates for the trials of a batch; the full solver is slow and used only for `trial_numbers`, if given."""
         trial_numbers = np.arange(len(trial_batch.trials)) if trial_numbers is None else trial_numbers
         calibrated, good = self.calibrate_batch(trial_batch, trial_numbers)
-        is_sufficient = good & ~suspect_trial_mask(
+        is_sufficient = good & ~possible_gross_error_mask(
             trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
         )
         single_trials = trial_numbers[~is_sufficient[trial_numbers]]

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.campaigns.cloud_kernels import (
     MICROMETRES_PER_METRE,
     add_squared_errors,
-    add_station_means,
+    add_weighted_points,
     align_rigidly,
     coordinate_criterion,
     distance_criterion,
@@ -27,7 +27,7 @@ from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
-MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
+MAX_COLLINEAR_SPREAD_RATIO = 1e-3
 """Largest ratio of the spread of targets perpendicular to a line to their spread along the line, at which they do not
 determine the rotation about the line. Such targets do not determine a frame.
 """
@@ -63,17 +63,17 @@ class TrialEvaluator:
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
-    def has_frame(self) -> Bools:
+    def is_frame_determined(self) -> Bools:
         """Mask (stations,) of stations whose targets determine a frame; only these are compared with the truth."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
         """Mask (target sets,) of the sets of targets, given as masks (target sets, targets), that determine a frame."""
         return determines_pose(
-            self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+            self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_COLLINEAR_SPREAD_RATIO
         )
 
-    def station_clouds(
+    def mean_points_by_station(
         self,
         reading_deviations: Floats,
         construction: GeometricErrorModel | None = None,
@@ -92,7 +92,7 @@ class TrialEvaluator:
         compute_points(
             self.truth.chain_program(construction), recording.instrument, reading_deviations, parameter_values, points
         )
-        add_station_means(points, recording.station, recording.target, self._mean_weights[1], clouds)
+        add_weighted_points(points, recording.station, recording.target, self._mean_weights[1], clouds)
         transform_to_network(
             clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions
         )
@@ -124,7 +124,7 @@ class TrialEvaluator:
         points = self.truth.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
-    def cloud_error(self, clouds: Floats) -> Floats:
+    def measured_point_error(self, clouds: Floats) -> Floats:
         """Rms distance (trials,) [um] between measured and true targets, after a rigid fit of each station's points.
 
         `clouds` (stations, targets, 3, trials) [m] are the points of each station. Stations whose targets determine no
@@ -133,12 +133,14 @@ class TrialEvaluator:
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
         aligned = np.empty_like(truth)
-        for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
+        for cloud, visible in zip(
+            clouds[self.is_frame_determined], self.is_measured[self.is_frame_determined], strict=True
+        ):
             align_rigidly(cloud, truth, visible, aligned)
             count += add_squared_errors(aligned, truth, visible, total)
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
-    def target_error(self, points: Floats) -> Floats:
+    def adjusted_target_error(self, points: Floats) -> Floats:
         """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
 
         `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
@@ -158,13 +160,13 @@ class TrialEvaluator:
 
     def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
-        raw_clouds = self.station_clouds(trial_batch.reading_deviations)
-        perfect = self.station_clouds(
+        raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
+        perfect = self.mean_points_by_station(
             trial_batch.reading_deviations, self.truth.construction, trial_batch.instrument_values
         )
         columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
-        columns["error_raw_um"] = self.cloud_error(raw_clouds)
-        columns["error_true_parameters_um"] = self.cloud_error(perfect)
+        columns["error_raw_um"] = self.measured_point_error(raw_clouds)
+        columns["error_true_parameters_um"] = self.measured_point_error(perfect)
         return columns
 
     def method_columns(
@@ -188,8 +190,8 @@ class TrialEvaluator:
             deviation = deviation - np.einsum(
                 "ncqb,qb->ncb", self.truth.effect_design(tuple(effects)), estimates.effect_values
             )
-        corrected_clouds = self.station_clouds(deviation, construction, estimates.instrument_values)
+        corrected_clouds = self.mean_points_by_station(deviation, construction, estimates.instrument_values)
         columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
-        columns["error_calibrated_um"] = self.cloud_error(corrected_clouds)
-        columns["target_error_um"] = self.target_error(estimates.target_errors)
+        columns["error_calibrated_um"] = self.measured_point_error(corrected_clouds)
+        columns["target_error_um"] = self.adjusted_target_error(estimates.target_errors)
         return columns

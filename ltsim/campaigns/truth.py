@@ -50,7 +50,7 @@ MAX_CACHED_DESIGNS = 8
 """Largest number of design matrices of effects, one for each combination of effects, that a network geometry keeps."""
 
 
-def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
+def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
     """Result of `make_measurement_geometry` for a scenario of a campaign.
 
     InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
@@ -85,7 +85,7 @@ class TrialBatch:
     """Readings minus nominal readings, (pointings, 3, trials) [m, rad, rad]."""
     length_errors: Floats
     """Declared minus true reference lengths, (lengths, trials) [m]."""
-    single_trials: tuple[TrialBatch, ...] = ()
+    single_trial_batches: tuple[TrialBatch, ...] = ()
     """Batch of one trial for each trial, in the order of its pointings, if network geometries differ; otherwise
     empty."""
 

@@ -22,7 +22,7 @@ from ltsim.simulation.physics import make_scenario_construction, scenario_effect
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
-MAX_LISTED_PAIRS = 20
+MAX_LISTED_HIDDEN_PAIRS = 20
 """Largest number of pairs of station and target without a line of sight that are listed one by one."""
 MIN_LEVEL_SEPARATION = 0.5
 """Smallest height difference [m] at which two targets belong to different height levels."""
@@ -45,7 +45,7 @@ class MeasurementGeometry:
     """Effects of the scenario, in addition to the instrument's errors."""
     hidden_pair_notes: tuple[str, ...]
     """Sentences on the pairs of station and target without a line of sight, with the reason of each pair. For more than
-    `MAX_LISTED_PAIRS` pairs, one sentence with the number of pairs for each reason."""
+    `MAX_LISTED_HIDDEN_PAIRS` pairs, one sentence with the number of pairs for each reason."""
 
     @cached_property
     def construction(self) -> GeometricErrorModel:
@@ -114,7 +114,7 @@ def draw_layout(
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
     """Sentences on pairs of station and target without a line of sight; for many pairs, their number by reason."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
-    if len(lost) <= MAX_LISTED_PAIRS:
+    if len(lost) <= MAX_LISTED_HIDDEN_PAIRS:
         return tuple(lost)
     reasons = Counter(reason for line in visibility.short_reason_texts() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())

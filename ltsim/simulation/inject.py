@@ -14,7 +14,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import ColumnValues, Result, Table, number_columns
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
@@ -63,9 +63,9 @@ class InjectedEffect(Result):
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
 
     def _tables(self) -> dict[str, Any]:
-        return {"parameters": self._size_table}
+        return {"parameters": self._parameter_columns}
 
-    def _size_table(self) -> ColumnValues:
+    def _parameter_columns(self) -> ColumnValues:
         size_entries = self._parameter_entries()
         return {
             "parameter": [p.name for p, _ in size_entries],
@@ -216,7 +216,7 @@ class Injector:
         whitened_change = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
         projected_design = space.project(whitened_change)
         square = float(projected_design @ projected_design)
-        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whitened_change @ whitened_change) else 0.0
+        return square if square > NORMAL_EQUATIONS_TOLERANCE * float(whitened_change @ whitened_change) else 0.0
 
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float

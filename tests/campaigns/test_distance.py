@@ -35,7 +35,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
     truth = make_truth(faces=2)
     batch = BatchDistance(truth, misalignment_construction())
     block = truth.draw_batch(22, 0)
-    sets, seen, share, gauge = batch._pointing_sets
+    sets, seen, share, gauge = batch._distance_objective_arrays
     clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):

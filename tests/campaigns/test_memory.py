@@ -88,7 +88,7 @@ def assert_equal_rows(first: Path, second: Path, tolerance: float) -> None:
 
 def test_numbers_of_a_trial_do_not_depend_on_how_they_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = np.concatenate([standard_normal_trials(3, np.arange(k, k + 256), 50, "noise") for k in (0, 256)], axis=1)
-    monkeypatch.setattr("ltsim.core.randomness.VALUES_PER_BATCH", 7)
+    monkeypatch.setattr("ltsim.core.randomness.VALUES_PER_TRIAL_AND_BATCH", 7)
     for trials in ([0], [5], [0, 1, 2], [300, 7, 0, 256], range(10, 500)):
         assert np.array_equal(standard_normal_trials(3, np.array(trials), 50, "noise"), whole[:, list(trials)])
 

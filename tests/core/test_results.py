@@ -264,7 +264,7 @@ def test_what_has_no_picture_says_so(kept):
 
 
 def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
-    column = Column("x_mm", "coordinate", display_format=".4f", rounding_column="sigma_x_mm")
+    column = Column("x_mm", "coordinate", display_format=".4f", uncertainty_column="sigma_x_mm")
     assert [column.displayed_text(v) for v in (-1.7e-22, -0.00004, -0.00006, 0.0)] == [
         "0.0000",
         "0.0000",

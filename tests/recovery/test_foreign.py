@@ -74,13 +74,13 @@ def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     ]
     assert beside == pytest.approx([trial.estimates[k] for trial in own.trials_with_result], rel=1e-12)
     assert result.ltsim_parameters == own.parameter_names
-    (sentence,) = result.comparison_sentences()
+    (sentence,) = result.unestimated_parameter_sentences()
     assert (
         f"estimates {len(ERRORS)} parameters" in sentence and f"ltsim estimates {len(own.parameter_names)}" in sentence
     )
     others = [name for name in own.parameter_names if name not in ERRORS]
     assert f"also {others[0]}, " in sentence and sentence in str(result)
-    assert lt.recover(SCENE, trials=2, seed=2).comparison_sentences() == []
+    assert lt.recover(SCENE, trials=2, seed=2).unestimated_parameter_sentences() == []
     table = result.to_dataframe("parameters")
     assert tuple(table["parameter"]) == found.parameter_names and np.all(
         table["absolute_error_difference_low"] <= table["absolute_error_difference_high"]

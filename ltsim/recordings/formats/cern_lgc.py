@@ -25,7 +25,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_LGC_LINES
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
@@ -386,7 +386,7 @@ def _notes(file: _LgcContent) -> Iterator[str]:
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
     if file.points_in_frames:
-        frames = listing([*map(quoted_text, file.frames)])
+        frames = names_text([*map(quoted_text, file.frames)])
         sentence = f"*OBSXYZ observes {len(file.points_in_frames)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.points_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"

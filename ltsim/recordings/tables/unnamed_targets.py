@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import quoted_text
@@ -47,7 +47,7 @@ def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> Po
         raise UnnamedTargetsError(message, file=file)
     titles = [] if hints.station is not None else _possible_name_titles(table)
     if titles:
-        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
+        listed = names_text([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
         message = (
             f'names no points, and {listed} may contain names; give --columns "target={titles[-1]}", or --hint '
             "station=NAME if one target moved and one set-up measured it"
@@ -117,7 +117,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     if len(shared) < MIN_COINCIDENT_POSITIONS:
         return []
     examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
-    names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
+    names = names_text([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
     return [
         f"separate targets have the same position at one set-up {len(shared)} times, such as {names}: if these are "
         "shots of one point, give them one name"

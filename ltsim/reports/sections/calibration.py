@@ -46,7 +46,7 @@ from ltsim.reports.document_model import (
     picture_or_note,
     table_blocks,
 )
-from ltsim.reports.formatting import capitalised_sentence, count_text, global_test_verdict, is_determined, listing
+from ltsim.reports.formatting import capitalised_sentence, count_text, global_test_verdict, is_determined, names_text
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjustment_pair_if_possible,
@@ -279,7 +279,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     actions = recommendations_for_causes(corrected_faults(content.tests))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
-        reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
+        reading_names = names_text([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.fit_with_constants is not None:
         actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
@@ -313,7 +313,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
         n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN
     ]
     if undetermined:
-        note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
+        note += f" Not determined by the recording, so that the prior remains: {names_text(undetermined, 6)}."
     parameter_figure = partial(figures.parameters.parameter_figure, rows, true_in_display_units)
     blocks: list[Block] = [
         picture_or_note("Instrument parameters", parameter_figure, text, len(rows)),

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import (
-    ERRORS_TABLE,
+    ERRORS_BEFORE_AND_AFTER_TABLE,
     FACTORS_TABLE,
     MEANS_BY_LEVEL_TABLE,
     RATIO_STATISTICS,
     ManifestFile,
+    error_columns_of_ratio,
     find_column,
-    ratio_columns,
 )
 from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number_text
@@ -308,15 +308,15 @@ def _error_tables(results: CampaignResults, summaries: Mapping[str, list[Statist
     names = cell_descriptions(results)
     blocks: list[Block] = []
     for share in RATIO_STATISTICS:
-        entries = [summaries.get(name, []) for name in (*ratio_columns(share), share)]
+        entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
         rows = [
             [names[row_summaries[0].cell], row_summaries[0].method, *(_mean_text(s, "") for s in row_summaries)]
             for row_summaries in zip(*entries, strict=all(entries))
         ]
         point_kind = "new point" if share.startswith("new_point") else "point"
-        note = f"Raw: {_column_meaning(ratio_columns(share)[0])}. Share removed: {_column_meaning(share)}. "
+        note = f"Raw: {_column_meaning(error_columns_of_ratio(share)[0])}. Share removed: {_column_meaning(share)}. "
         note += "Noise floor: error after correction with the true parameters. In brackets: 95 % interval."
-        blocks += table_blocks(f"Error of a {point_kind}", ERRORS_TABLE.with_rows(rows), note=note)
+        blocks += table_blocks(f"Error of a {point_kind}", ERRORS_BEFORE_AND_AFTER_TABLE.with_rows(rows), note=note)
     return blocks
 
 
@@ -339,7 +339,7 @@ def _statistic_tables(
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
     }
     shown_table = _table_with_levels_as_in_file(
-        results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
+        results, cells.select_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = (
@@ -348,7 +348,7 @@ def _statistic_tables(
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed_trials)
     convergence_table = results.table("solver_comparisons")
     convergence_table = _table_with_levels_as_in_file(
-        results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
+        results, convergence_table.select_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
     return [
         *table_blocks(f"Statistics ({count_text(len(shown_table.rows), 'row')})", shown_table),
