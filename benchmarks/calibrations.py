@@ -34,7 +34,7 @@ from benchmarks.peers import (
 )
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
@@ -177,12 +177,12 @@ def parts() -> None:
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
-    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
+    batch, block = BatchDistanceCalibrator(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
     found = batch.calibrate(block, every)
     worst = max(batch.largest_solver_difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
     single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
+    absolute, some = BatchDistanceCalibrator(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
     apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)

@@ -69,7 +69,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
     ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.trial_batches(0, campaign.trials):
-        wanted = np.flatnonzero(block.trials < campaign.trials)
+        wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         assert work.validation_batch is not None
         assert cell.validation_scenario is not None
@@ -82,7 +82,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
             campaign.seed,
             "nominal",
         )
-        nominal = {i: measure_nominal_points(*true, int(block.trials[i])) for i in wanted}
+        nominal = {i: measure_nominal_points(*true, int(block.trial_numbers[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):

@@ -66,7 +66,7 @@ class WithoutOutliers:
 
 def with_outliers(truth: CellTruth, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
-    draw = random_stream(seed, "outliers", int(block.trials[0]))
+    draw = random_stream(seed, "outliers", int(block.trial_numbers[0]))
     shape = block.reading_deviations.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
     size = draw.uniform(*SIZE, shape)
@@ -83,7 +83,7 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
     parts: dict[str, list[pd.DataFrame]] = {}
     for here, calibrators, clean in ready.trial_batches(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
-        wanted = np.flatnonzero(block.trials < campaign.trials)
+        wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():

@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.results import Result, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario

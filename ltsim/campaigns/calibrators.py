@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
@@ -60,7 +60,7 @@ def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibra
             truth, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
         )
     if method.method != "network":
-        return BatchDistance(truth, built, method=method.method)
+        return BatchDistanceCalibrator(truth, built, method=method.method)
     return BatchCalibrator(truth, built, effects)
 
 
@@ -180,11 +180,11 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
     """
     trials_by_pattern: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
-        judge = TrialEvaluator(truth)
+        evaluator = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
-        key = (*names, pattern, judge.has_criteria, judge.is_frame_determined.tobytes())
+        key = (*names, pattern, evaluator.has_criteria, evaluator.is_frame_determined.tobytes())
         trials_by_pattern.setdefault(key, []).append(number)
     for numbers in trials_by_pattern.values():
         yield GeometryStack.from_truths(tuple(truths[number] for number in numbers)), np.array(numbers)
@@ -219,13 +219,13 @@ class StackCalibrator(TrialCalibrator):
         """Calibrator for the single trial with the index `trial` in the stack."""
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Estimates of the trials of a batch; a trial with undetermined parameters has the status failed."""
         calibrated = CalibratedBatch.from_failed_trials(
             self.truth, self.construction, self.effects, len(trial_batch.single_trial_batches)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_numbers
+        remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_indices
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(

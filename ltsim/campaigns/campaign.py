@@ -82,7 +82,7 @@ class WorkerSettings:
 
 
 @dataclass(frozen=True)
-class RunResult:
+class CampaignRunResult:
     """Result of one run of a campaign: folder, numbers of shards, and notes for the user."""
 
     folder: Path
@@ -105,7 +105,7 @@ def run_campaign(
     changes: Mapping[str, Any] | None = None,
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
-) -> RunResult:
+) -> CampaignRunResult:
     """Run, continuation or extension of a campaign in `folder`, as `ltsim.campaign` but with a choice of workers.
 
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
@@ -140,11 +140,11 @@ def run_campaign(
         store.remove_unfinished_files()
         done, existing = 0, 0
         for wanted in iterate_stopping_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
-            waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
+            waiting, damaged = _pending_tasks_and_notes(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
-                for task, content in _iterate_results(waiting, chosen_workers, store):
+                for task, content in _computed_shards(waiting, chosen_workers, store):
                     store.write_shard(task.cell, task.shard, content)
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
@@ -154,7 +154,7 @@ def run_campaign(
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
         notes.append(f"{folder}: the rule [stop] made {n_reused} files of rows ({share:.0f} % of all) unnecessary")
-    return RunResult(folder, done, existing, tuple(notes))
+    return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
 def _input_files(
@@ -314,7 +314,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
     )
 
 
-def _pending_shards(
+def _pending_tasks_and_notes(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
@@ -349,11 +349,12 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
     Only the first `n_shards` shards of each cell (combination of factor levels) are used.
     """
     return {
-        (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, n_shards).distribution(statistic)
+        (s.cell, s.method): 0.5 * (s.high - s.low)
+        for s in CampaignStatistics(folder, n_shards).statistic_summaries(statistic)
     }
 
 
-def _iterate_results(
+def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
     """Pairs of a task and the bytes of its shard's file, in the order of completion.

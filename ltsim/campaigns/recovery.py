@@ -102,7 +102,7 @@ class Recovery(ResultFile):
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
             error_origin=trials.error_origin,
             trials=len(trials.trials),
-            trials_with_result=len(trials.trials_with_result),
+            trials_with_result=len(trials.available_trial_scores),
             seed=seed,
             checks=checks,
             parameters=trials.parameter_statistics(),

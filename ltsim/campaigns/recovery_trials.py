@@ -202,21 +202,21 @@ class RecoveryTrials(ValueEquality):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters of the checked calibrator."""
-        return self.trials_with_result[0].parameter_names if self.trials_with_result else ()
+        return self.available_trial_scores[0].parameter_names if self.available_trial_scores else ()
 
     @property
     def ltsim_parameter_names(self) -> tuple[str, ...]:
         """Names of all parameters that ltsim estimates in the same recordings; empty without an external calibrator."""
-        return next((t.ltsim_parameter_names for t in self.trials_with_result if t.ltsim_parameter_names), ())
+        return next((t.ltsim_parameter_names for t in self.available_trial_scores if t.ltsim_parameter_names), ())
 
     @property
-    def trials_with_result(self) -> list[TrialScore]:
+    def available_trial_scores(self) -> list[TrialScore]:
         """Scores of the trials with a result."""
         return [trial for trial in self.trials if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
         """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
-        return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
+        return np.stack([getattr(trial, attribute) for trial in self.available_trial_scores])
 
     @property
     def z_scores(self) -> Floats:
@@ -225,7 +225,7 @@ class RecoveryTrials(ValueEquality):
 
     def unchecked_parameters(self) -> tuple[str, ...]:
         """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
-        if self.tolerance_by_parameter or not self.trials_with_result:
+        if self.tolerance_by_parameter or not self.available_trial_scores:
             return ()
         is_checked = np.all(np.isfinite(self.z_scores), axis=0)
         return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
@@ -244,7 +244,7 @@ class RecoveryTrials(ValueEquality):
     def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.trials_with_result) >= MIN_RECOVERY_TRIALS:
+        if len(self.available_trial_scores) >= MIN_RECOVERY_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
             is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
@@ -254,7 +254,7 @@ class RecoveryTrials(ValueEquality):
                 "coverage_95": np.mean(np.where(np.isfinite(z), is_covered, np.nan), axis=0).tolist(),
                 **self._comparison_columns(error),
             }
-        units = self.trials_with_result[0].parameter_units if self.trials_with_result else ()
+        units = self.available_trial_scores[0].parameter_units if self.available_trial_scores else ()
         return tuple(
             RecoveredParameter(parameter=name, unit=unit, **{key: column[k] for key, column in columns.items()})
             for k, (name, unit) in enumerate(zip(self.parameter_names, units, strict=True))
@@ -265,11 +265,11 @@ class RecoveryTrials(ValueEquality):
 
         `error` (trials, parameters) are the errors of the checked calibrator.
         """
-        trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
+        trial_indices = [k for k, trial in enumerate(self.available_trial_scores) if trial.ltsim_score is not None]
         if len(trial_indices) < MIN_RECOVERY_TRIALS:
             return {}
         reference = np.stack(
-            [t.ltsim_score.estimates - t.true_values for t in self.trials_with_result if t.ltsim_score is not None]
+            [t.ltsim_score.estimates - t.true_values for t in self.available_trial_scores if t.ltsim_score is not None]
         )
         gap, count = np.abs(error[trial_indices]) - np.abs(reference), len(trial_indices)
         half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
@@ -282,9 +282,9 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
-        n_lost = len(self.trials) - len(self.trials_with_result)
+        n_lost = len(self.trials) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
-        if len(self.trials_with_result) < MIN_RECOVERY_TRIALS:
+        if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:
             return checks
         indices = [
             k
@@ -302,7 +302,7 @@ class RecoveryTrials(ValueEquality):
             self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
-        foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
+        foreign, checks = self.available_trial_scores[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
         if self.error_origin == "stated" and np.all(np.isfinite(z)):
@@ -320,7 +320,7 @@ class RecoveryTrials(ValueEquality):
 
     def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
         """Checks of chi-square, targets and stations; `alpha` is the false-alarm rate of each check."""
-        parts, checks = [trial.network_score for trial in self.trials_with_result], []
+        parts, checks = [trial.network_score for trial in self.available_trial_scores], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_sigma")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)

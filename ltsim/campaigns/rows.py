@@ -44,7 +44,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import placing_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
-CORRECTED_STATISTICS = {"criteria", "errors"}
+STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
 """Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
 """Largest number of trials that are calibrated together if each trial has a separate network geometry."""
@@ -152,10 +152,10 @@ class CellContext:
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
-            judge, calibrators = self.shared_geometry_evaluator_and_calibrators
+            evaluator, calibrators = self.shared_geometry_evaluator_and_calibrators
             size = self._max_batch_trials(TRIALS_PER_STREAM, 0)
             for number in range(first_trial // size, -(-end_trial // size)):
-                yield judge, calibrators, judge.truth.draw_batch(seed, number, size)
+                yield evaluator, calibrators, evaluator.truth.draw_batch(seed, number, size)
             return
         size = self._max_batch_trials(MAX_TRIALS_PER_STACK, GEOMETRY_VALUES_PER_POINTING)
         for low in range(first_trial, end_trial, size):
@@ -257,12 +257,12 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
     first, last = first_trial + n_existing_trials, min(first_trial + campaign.trials_per_shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
     missing_numbers = set(range(first, last))
-    for judge, calibrators, batch in cell.trial_batches(first, last):
-        numbers = batch.trials
+    for evaluator, calibrators, batch in cell.trial_batches(first, last):
+        numbers = batch.trial_numbers
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verified_trials_per_shard]
-        work = TrialBatchRows(campaign, judge, batch, cell.validation_evaluator, wanted, checked, truth_only)
+        work = TrialBatchRows(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -313,7 +313,7 @@ class TrialBatchRows:
         """
         if self.validation_evaluator is None:
             return None
-        normal_source = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)
+        normal_source = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)
         batch = self.validation_evaluator.truth.draw_trials(
             normal_source, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
         )
@@ -329,7 +329,7 @@ class TrialBatchRows:
             return values
         population = self.evaluator.truth.distributions
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)(values[:, :, 0].size, "drift")
+        step = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)(values[:, :, 0].size, "drift")
         return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
@@ -337,7 +337,7 @@ class TrialBatchRows:
         wanted, batch, truth = self.campaign.statistics, self.trial_batch, self.evaluator.truth
         construction, effects = calibrator.construction, calibrator.effects
         if self.has_truth_only:
-            calibrated = CalibratedBatch.from_failed_trials(truth, construction, effects, len(batch.trials))
+            calibrated = CalibratedBatch.from_failed_trials(truth, construction, effects, len(batch.trial_numbers))
         else:
             calibrated = calibrator.calibrate(batch, self.requested_trial_indices)
         columns: ResultColumns = {"status": calibrated.status_indices, "chi2": calibrated.chi2}
@@ -346,7 +346,7 @@ class TrialBatchRows:
             columns[SOLVER_DIFFERENCE_COLUMN][place] = calibrator.largest_solver_difference(
                 batch, int(place), calibrated
             )
-        if CORRECTED_STATISTICS & {*wanted}:
+        if STATISTICS_OF_CORRECTED_READINGS & {*wanted}:
             judged = self.method_independent_columns | self.evaluator.method_columns(
                 batch, calibrated, construction, effects
             )

@@ -216,7 +216,7 @@ class ScenarioSettings(Entry):
     """Trackers with names, by name."""
 
 
-LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
+FactorLevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 """Level of a factor in `manifest.json`: flag, integer, number, text, or null for a missing key."""
 
 
@@ -227,7 +227,7 @@ class CellEntry(Entry):
     """Index of the cell in the campaign, from 0."""
     label: str
     """Description of the cell in one line: the level of each factor."""
-    levels: dict[str, LevelValue] = Field(default_factory=dict)
+    levels: dict[str, FactorLevelValue] = Field(default_factory=dict)
     """Level of each factor, by the factor's name."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in this cell, by dotted key."""
@@ -240,7 +240,7 @@ FACTORS_TABLE = Table(
     "factors: keys of the scenario whose values differ between cells",
     text_columns(factor="title", values="levels", key="key of the scenario", meaning="meaning of the key"),
 )
-MEANS_BY_LEVEL_TABLE = Table(
+MEANS_BY_FACTOR_LEVEL_TABLE = Table(
     "levels.csv",
     "means over the cells of each level",
     (

@@ -96,7 +96,7 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     return instrument_values | dict(zip(names, effect_values, strict=True))
 
 
-def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
+def check_parameters_have_true_values(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
     """Check that the parameters `names` are among `true_names`; InputError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
@@ -188,7 +188,7 @@ def score_calibration(
     `truth_distributions` holds, by name, mean and standard deviation [SI] of the distribution from which each true
     parameter was drawn; the standard deviation of a declared parameter is 0.
     """
-    check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
+    check_parameters_have_true_values(calibration.instrument_parameter_names, truth.instrument_values, truth)
     expected = TrueParameterDistribution.from_calibration(calibration, truth, truth_distributions)
     n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])

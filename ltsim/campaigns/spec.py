@@ -330,11 +330,11 @@ def make_cells(
     for scenario, scenario_changes in zip(scenarios, campaign.scenario_changes_of_cells(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         points_name = campaign.validation_points
-        judge = make_validation_scenario(points_name, scenario, path) if points_name else None
+        validation = make_validation_scenario(points_name, scenario, path) if points_name else None
         levels = {factor.name: factor.level(tables) for factor in factors}
-        places = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
-        mark = hashlib.sha256("\n".join([cell_seed_text, *places]).encode()).hexdigest()
-        cells.append(CampaignCell(scenario, judge, scenario_changes, levels, mark))
+        texts = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
+        digest = hashlib.sha256("\n".join([cell_seed_text, *texts]).encode()).hexdigest()
+        cells.append(CampaignCell(scenario, validation, scenario_changes, levels, digest))
     return factors, tuple(cells)
 
 

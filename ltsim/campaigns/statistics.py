@@ -200,7 +200,7 @@ class CampaignStatistics:
         level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
-    def distribution(self, column: str) -> list[StatisticSummary]:
+    def statistic_summaries(self, column: str) -> list[StatisticSummary]:
         """Mean with confidence interval, standard deviation and quantiles of a column, for each cell and method."""
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
@@ -308,7 +308,7 @@ class CampaignStatistics:
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
             solver_comparisons=tuple(self.solver_comparisons()),
             meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
-            columns=tuple(entry for column in columns_used for entry in self.distribution(column)),
+            columns=tuple(entry for column in columns_used for entry in self.statistic_summaries(column)),
             z_scores=tuple(self.z_score_summaries()),
         )
 

@@ -126,8 +126,8 @@ class TrialCalibrator:
     method: str = "network"
     """Name of the method in the campaign file."""
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; trials whose index is not in `trial_numbers` may be NaN."""
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; trials whose index is not in `trial_indices` may be NaN."""
         raise NotImplementedError
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
@@ -199,12 +199,12 @@ class SerialCalibrator(TrialCalibrator):
     deviations of the estimates are returned in both cases.
     """
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; only the trials with the indices `trial_numbers` are computed."""
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; only the trials with the indices `trial_indices` are computed."""
         calibrated = CalibratedBatch.from_failed_trials(
             self.truth, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
-        for trial in trial_numbers.tolist():
+        for trial in trial_indices.tolist():
             try:
                 adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, trial_batch, trial))
             except LtsimError:
@@ -265,7 +265,7 @@ class BatchCalibrator(TrialCalibrator):
         program, recorded = truth.chain_program(built), truth.is_recorded_observable
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
         network, fit = (
             self.batch_network,
@@ -279,14 +279,14 @@ class BatchCalibrator(TrialCalibrator):
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBatch:
-        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_numbers`, if given."""
-        trial_numbers = np.arange(len(trial_batch.trials)) if trial_numbers is None else trial_numbers
-        calibrated, good = self.calibrate_batch(trial_batch, trial_numbers)
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints | None = None) -> CalibratedBatch:
+        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_indices`, if given."""
+        trial_indices = np.arange(len(trial_batch.trial_numbers)) if trial_indices is None else trial_indices
+        calibrated, good = self.calibrate_batch(trial_batch, trial_indices)
         is_sufficient = good & ~possible_gross_error_mask(
             trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
         )
-        single_trials = trial_numbers[~is_sufficient[trial_numbers]]
+        single_trials = trial_indices[~is_sufficient[trial_indices]]
         per_trial = self.serial_calibrator.calibrate(trial_batch, single_trials) if len(single_trials) else calibrated
         for trial in single_trials.tolist():
             calibrated.copy_results_of_trial(trial, per_trial, trial)

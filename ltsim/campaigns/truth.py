@@ -33,7 +33,7 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry
+from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
@@ -41,12 +41,12 @@ from ltsim.simulation.workshop import WorkshopLayout
 
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
-MAX_NONLINEARITY = 1e-3
+MAX_EFFECT_NONLINEARITY_SIGMAS = 1e-3
 """Largest difference between the exact and the linear change of a reading by an effect with the size of three prior
 standard deviations, divided by the standard deviation of the reading, at which the linear form of the effect is used
 for all trials. For a larger difference the exact change is computed trial by trial."""
 
-MAX_CACHED_DESIGNS = 8
+MAX_CACHED_EFFECT_DESIGNS = 8
 """Largest number of design matrices of effects, one for each combination of effects, that a network geometry keeps."""
 
 
@@ -75,7 +75,7 @@ def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int
 class TrialBatch:
     """Batch of drawn trials: true values, readings and reference lengths of each trial."""
 
-    trials: Ints
+    trial_numbers: Ints
     """Numbers of the trials, (trials,)."""
     instrument_values: Floats
     """True instrument parameters, (instruments, parameters, trials) [SI]."""
@@ -92,7 +92,7 @@ class TrialBatch:
     @property
     def true_values(self) -> Floats:
         """All true parameters (parameters, trials) [SI]: those of each instrument, then those of the effects."""
-        return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
+        return np.concatenate([self.instrument_values.reshape(-1, len(self.trial_numbers)), *self.effect_values])
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class CellTruth:
         """
         cache = self._effect_design_cache  # no cached function, whose reference to this object would keep both alive
         if effects not in cache:
-            while len(cache) >= MAX_CACHED_DESIGNS:
+            while len(cache) >= MAX_CACHED_EFFECT_DESIGNS:
                 del cache[next(iter(cache))]
             cache[effects] = self._effect_design(effects)
         return cache[effects]
@@ -217,7 +217,11 @@ class CellTruth:
             - constant
             - design @ (3 * effect_distribution.parameter_sigmas)
         )
-        return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
+        return (
+            (constant, design)
+            if np.all(np.abs(miss) <= MAX_EFFECT_NONLINEARITY_SIGMAS * self.recording.sigma())
+            else None
+        )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
         """Batch of `n_trials` drawn trials; its first trial has the number `batch_number` times `n_trials`."""
@@ -249,13 +253,15 @@ class CellTruth:
             reading_deviations = self._round_to_resolution(reading_deviations)
         lengths = self.distributions.reference_lengths
         length_errors = draw.certified_lengths * lengths.expansion_factors[:, None] - lengths.lengths[:, None]
-        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, reading_deviations, length_errors)
+        return TrialBatch(
+            draw.trial_numbers, draw.instrument_values, draw.effect_values, reading_deviations, length_errors
+        )
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
         """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, from the simulator."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
-        for k in range(len(draw.trials)):
+        for k in range(len(draw.trial_numbers)):
             amounts = tuple(amount[:, k] for amount in draw.effect_values)
             gap = (
                 simulate_readings(self.geometry, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])

@@ -138,9 +138,9 @@ def _(result: DetectionCurve) -> Figure:
 def _(result: Recovery) -> Figure:
     """Figure of a recovery: errors of each parameter divided by the declared sigmas, or by their rms without sigmas."""
     trials = result.arrays
-    if not trials.trials_with_result:
+    if not trials.available_trial_scores:
         raise ModelError("no trial of this recovery converged; there is no figure")
-    error = np.array([trial.estimates - trial.true_values for trial in trials.trials_with_result])
+    error = np.array([trial.estimates - trial.true_values for trial in trials.available_trial_scores])
     has_sigmas = np.isfinite(trials.z_scores).all()
     shown = trials.z_scores if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()

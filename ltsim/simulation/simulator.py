@@ -25,7 +25,7 @@ from ltsim.recordings.setup import (
     Vector,
 )
 from ltsim.simulation.draws import StandardNormalSource, TrialDistributions, effect_distributions
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry, smr_names_of_pointings
+from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry, smr_names_of_pointings
 from ltsim.simulation.physics import (
     instrument_error_distribution,
     instrument_resolutions,

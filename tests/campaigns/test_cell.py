@@ -20,7 +20,7 @@ from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 from ltsim.simulation.simulator import measure_trial
 

@@ -167,7 +167,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
         for _, own in frame.groupby("faces")
     ]
     assert faces.entries[0].difference == pytest.approx(shares[1] - shares[0], rel=1e-5)
-    spread = next(s for s in results.distribution("share_removed") if (s.cell, s.method) == (0, "network"))
+    spread = next(s for s in results.statistic_summaries("share_removed") if (s.cell, s.method) == (0, "network"))
     assert spread.mean == pytest.approx(shares[0], rel=1e-5) and spread.low < spread.mean < spread.high
     for wrong in ({"method": ("distance", "nothing")}, {"face": (1, 2)}, {"faces": (1, 3)}):
         with pytest.raises(ModelError):

@@ -102,7 +102,7 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
     for name in ("run[1]", "run*", "it's"):
         run_campaign(file, tmp_path / name)
     means = {
-        name: CampaignResults(tmp_path / name).distribution("target_error_um")[0].mean
+        name: CampaignResults(tmp_path / name).statistic_summaries("target_error_um")[0].mean
         for name in ("run1", "run[1]", "run*", "it's")
     }
     assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]

@@ -57,5 +57,5 @@ def test_intervals_hold_for_every_construction_and_number_of_trackers(constructi
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
     found = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
-    assert len(found.trials_with_result) == 60
+    assert len(found.available_trial_scores) == 60
     assert 0.93 < np.mean(np.abs(found.z_scores) < 1.96) < 0.97

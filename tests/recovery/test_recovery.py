@@ -18,7 +18,7 @@ from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
 from ltsim.simulation.simulator import measure_trial
 from tests.families import family
@@ -71,7 +71,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
     for what in ("target_mean_square", "station_mean_square"):
-        assert np.mean([getattr(t.network_score, what) for t in trials.trials_with_result]) == pytest.approx(
+        assert np.mean([getattr(t.network_score, what) for t in trials.available_trial_scores]) == pytest.approx(
             1.0, abs=0.08
         )
 

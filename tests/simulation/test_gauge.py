@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import InputError
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, ScenarioGauge
 from ltsim.simulation.simulator import error_free_recording, trial_distributions

@@ -14,7 +14,7 @@ from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import (
     ERRORS_BEFORE_AND_AFTER_TABLE,
     FACTORS_TABLE,
-    MEANS_BY_LEVEL_TABLE,
+    MEANS_BY_FACTOR_LEVEL_TABLE,
     RATIO_STATISTICS,
     ManifestFile,
     error_columns_of_ratio,
@@ -88,7 +88,7 @@ def campaign_section(folder: Path) -> Section:
     """
     results = CampaignResults(folder)
     manifest = results.manifest
-    summaries = {name: results.distribution(name) for name in results.columns if ":" not in name}
+    summaries = {name: results.statistic_summaries(name) for name in results.columns if ":" not in name}
     z_scores, comparisons = results.z_score_summaries(), results.solver_comparisons()
     published_values = PUBLISHED_CRITERIA.get(str(manifest.settings.get("scenario", "")), {})
     distribution_blocks = _distribution_figures(results, published_values)
@@ -226,7 +226,7 @@ def _means_by_level_tables(
                 means_by_level.setdefault(key, []).append(s.mean)
     table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
     return table_blocks(
-        "Means over all combinations with the same level of a factor", MEANS_BY_LEVEL_TABLE.with_rows(table_rows)
+        "Means over all combinations with the same level of a factor", MEANS_BY_FACTOR_LEVEL_TABLE.with_rows(table_rows)
     )
 
 
@@ -264,7 +264,7 @@ def campaign_figure(results: CampaignResults) -> Figure:
     if len(results.levels) > 1:
         for column, (title, unit) in STATISTIC_TITLES.items():
             if column in results.columns:
-                return next(statistic_figures(results, results.distribution(column), title + unit, None))[1]()
+                return next(statistic_figures(results, results.statistic_summaries(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))
 
 

@@ -24,7 +24,7 @@ from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_l
 
 MAX_LISTED_HIDDEN_PAIRS = 20
 """Largest number of pairs of station and target without a line of sight that are listed one by one."""
-MIN_LEVEL_SEPARATION = 0.5
+MIN_HEIGHT_LEVEL_SEPARATION = 0.5
 """Smallest height difference [m] at which two targets belong to different height levels."""
 
 
@@ -211,7 +211,7 @@ def _target_order(
 def _height_levels(heights: Floats) -> Floats:
     """Number of the height level of each target, counted from the highest level, shape (targets,)."""
     down = np.argsort(-heights, kind="stable")
-    steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_LEVEL_SEPARATION])
+    steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_HEIGHT_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))
     levels[down] = np.cumsum(steps)
     return levels

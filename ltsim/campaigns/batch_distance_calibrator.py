@@ -29,7 +29,7 @@ from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
-from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
+from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -47,7 +47,7 @@ The remaining error is about a hundredth of this change.
 
 
 @dataclass(frozen=True)
-class BatchDistance(BatchCalibrator):
+class BatchDistanceCalibrator(BatchCalibrator):
     """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
 
     The unknowns are the parameters of all instruments. Methods whose name ends in `-l1` minimise absolute deviations,
@@ -130,7 +130,7 @@ class BatchDistance(BatchCalibrator):
         visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates of the trials, and mask (trials,) of the converged trials.
 
         The targets are adjusted from readings that are corrected by the estimated parameters.
@@ -138,7 +138,7 @@ class BatchDistance(BatchCalibrator):
         values, moved = (
             self._least_squares_values(trial_batch)
             if self.method == "distance"
-            else self._values_with_trial_normal_matrices(trial_batch, trial_numbers)
+            else self._values_with_trial_normal_matrices(trial_batch, trial_indices)
         )
         fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
@@ -165,10 +165,12 @@ class BatchDistance(BatchCalibrator):
             compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_weighted_points(points, sets, recording.target, share, clouds)
-            forces, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
-            distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
+            mean_gradients, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
+            distance_gradient(clouds, visible, gauge, reference_lengths, mean_gradients, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            backpropagate_mean_forces(self._chain_program, *membership, deviation, parameter_values, forces, gradient)
+            backpropagate_mean_gradients(
+                self._chain_program, *membership, deviation, parameter_values, mean_gradients, gradient
+            )
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
@@ -176,17 +178,17 @@ class BatchDistance(BatchCalibrator):
                 break
         return parameter_values, moved
 
-    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[Floats, Floats]:
         """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
 
         The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
-        `trial_numbers` are the indices of the selected trials in the batch; the change of all other trials is infinite.
+        `trial_indices` are the indices of the selected trials in the batch; the change of all other trials is infinite.
         """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
             trial: self.truth.recording.readings + trial_batch.reading_deviations[:, :, trial]
-            for trial in trial_numbers.tolist()
+            for trial in trial_indices.tolist()
         }
         combinations_by_trial = {
             trial: self._estimated_combinations
@@ -197,7 +199,7 @@ class BatchDistance(BatchCalibrator):
         for iteration in range(
             MAX_DISTANCE_FIT_STEPS if self.uses_absolute_deviations else MAX_WEAK_COMBINATION_FIT_STEPS
         ):
-            active = trial_numbers[moved[trial_numbers] >= MAX_LAST_STEP_AT_CONVERGENCE]
+            active = trial_indices[moved[trial_indices] >= MAX_LAST_STEP_AT_CONVERGENCE]
             if not len(active):
                 break
             residual = self._objective_terms(
