@@ -35,12 +35,12 @@ from benchmarks.peers import (
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
-from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
+from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, TrialBatch
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, recording_of_trial
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import align_columns
 from ltsim.physics.model.construction import misalignment_construction

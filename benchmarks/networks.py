@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
+from ltsim.campaigns.cell_truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction

@@ -14,7 +14,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences,
     distance_errors,
 )
-from ltsim.campaigns.rows import CellContext, TrialBatchRows
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel

@@ -8,10 +8,10 @@ import pandas as pd
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.rows import CellContext, TrialBatchRows
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, recording_of_trial
-from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import random_stream

@@ -4,9 +4,9 @@ import numpy as np
 
 from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
 from ltsim.campaigns.calibrators import make_calibrator
+from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.campaigns.cloud_kernels import align_rigidly
 from ltsim.campaigns.spec import CalibrationMethod
-from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
+from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, CellTruth, make_cell_truth
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth, make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.geometry.rigid import align_with_scale

@@ -27,11 +27,11 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
+from ltsim.campaigns.cell_truth import TrialBatch
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
-from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute

@@ -19,6 +19,7 @@ from scipy.linalg.lapack import dpotrs
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.batch_network import BatchNetwork
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
 from ltsim.campaigns.nominal_network import SharedDerivatives
@@ -31,7 +32,6 @@ from ltsim.campaigns.trial_calibrators import (
     possible_gross_error_mask,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.effect import Effect

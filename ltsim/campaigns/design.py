@@ -13,7 +13,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
+from ltsim.simulation.scenario_keys import ValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMN_NAMES = frozenset(
     {

@@ -29,8 +29,8 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
+from ltsim.simulation.scenario_keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.sections import PlacedEffect
 
 CAMPAIGN_FORMAT = "ltsim-campaign/1"

@@ -17,8 +17,8 @@ from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.batch_network import BatchNetwork
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
 from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT
-from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion_design

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
 from ltsim.campaigns.cloud_kernels import (
     MICROMETRES_PER_METRE,
     add_squared_errors,
@@ -21,7 +22,6 @@ from ltsim.campaigns.cloud_kernels import (
 from ltsim.campaigns.columns import ResultColumns
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, measured_targets_and_weights
-from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect

@@ -186,11 +186,11 @@ def inject(
 
 
 def _run_injection_curve(
-    terminal: Terminal, recording: Recording, effect_text: str, file: Path | None, options: dict[str, Any]
+    terminal: Terminal, recording: Recording, effect_specification: str, file: Path | None, options: dict[str, Any]
 ) -> None:
     """Detection curve of one effect, printed and, if a file is given, written as CSV."""
     with terminal.show_progress("injecting and diagnosing"):
-        detection_curve = lt.injection_curve(recording, effect_text, **options)
+        detection_curve = lt.injection_curve(recording, effect_specification, **options)
     table = detection_curve.table()
     terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
     terminal.print_text(detection_curve._lines()[0])

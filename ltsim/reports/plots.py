@@ -13,7 +13,7 @@ from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.campaigns.calibration_comparison import NewPointErrors
+from ltsim.campaigns.calibration_comparison import HeldOutPointErrors
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.results import PairedDifferences
 from ltsim.core.errors import ModelError
@@ -40,7 +40,7 @@ from ltsim.reports.sections.diagnosis import finding_figure
 from ltsim.reports.sections.simple_sections import uncertainty_budget_figure
 from ltsim.reports.verbs import View
 from ltsim.reports.workshop_scene import workshop_from_recording, workshop_from_scenario
-from ltsim.simulation.inject import DetectionCurve
+from ltsim.simulation.injector import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
 MAX_DRAWN_PROPOSALS = 12
@@ -158,7 +158,7 @@ def _(result: NextMeasurement) -> Figure:
 
 
 @figure_of.register
-def _(result: NewPointErrors) -> Figure:
+def _(result: HeldOutPointErrors) -> Figure:
     example = next(iter(result.errors.values()))
     rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors.items()}
     ends = {

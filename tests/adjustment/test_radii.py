@@ -12,7 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import identify_causes
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.randomness import random_stream

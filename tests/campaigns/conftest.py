@@ -8,8 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from ltsim.campaigns.cell_truth import CellTruth
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.measurement import sightings_at_state

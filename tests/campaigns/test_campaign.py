@@ -19,8 +19,8 @@ import pytest
 from ltsim.campaigns import statistics, store, trial_calibrators
 from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.campaigns.results import CampaignResults
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import QUANTILE_LEVELS
 from ltsim.campaigns.store import CampaignFolder, read_shard

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import kstest
 
 import ltsim as lt
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.cell_truth import make_cell_truth
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
-from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import InputError
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, find_effect

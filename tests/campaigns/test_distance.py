@@ -10,9 +10,9 @@ import pytest
 from ltsim.calibration.distance_solver import mean_deviation_comparisons
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
+from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.campaigns.cloud_kernels import distance_gradient
 from ltsim.campaigns.trial_calibrators import TRIAL_STATUSES, recording_of_trial
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.physics.model.construction import misalignment_construction
 
 EVERY = np.arange(TRIALS_PER_STREAM)

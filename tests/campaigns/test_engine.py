@@ -10,6 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.criteria import evaluate_criteria
+from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.campaigns.trial_calibrators import (
     FULL_SOLVER,
     TRIAL_STATUSES,
@@ -18,7 +19,6 @@ from ltsim.campaigns.trial_calibrators import (
     recording_of_trial,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.model.construction import dh_construction, misalignment_construction

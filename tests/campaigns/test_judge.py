@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.cell_truth import make_cell_truth
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.trial_evaluation import MICROMETRES_PER_METRE, TrialEvaluator
-from ltsim.campaigns.truth import make_cell_truth
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.batch_network import BatchNetwork
+from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.compilation import compile_function
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
 

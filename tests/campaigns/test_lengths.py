@@ -6,8 +6,8 @@ import numpy as np
 
 import ltsim as lt
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
+from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import make_cell_truth
 
 BARS = lt.scenario(
     "paper-workshop",

@@ -14,9 +14,9 @@ import pytest
 
 from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.rows import cell_context
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
+from ltsim.campaigns.shard_rows import cell_context
 from ltsim.campaigns.spec import load_campaign
-from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.errors import InputError
 from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
 from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
@@ -58,7 +58,7 @@ def test_a_large_network_is_calibrated_in_small_batches(
     run_campaign(file, tmp_path / "whole")
     assert max(sizes) == (TRIALS_PER_STREAM if geometry == "shared" else 1)
     sizes.clear()
-    monkeypatch.setattr("ltsim.campaigns.rows.MAX_BATCH_VALUES", 200_000)
+    monkeypatch.setattr("ltsim.campaigns.shard_rows.MAX_BATCH_VALUES", 200_000)
     run_campaign(file, tmp_path / "parts")
     assert max(sizes) == (32 if geometry == "shared" else 1)
     assert_equal_rows(tmp_path / "whole", tmp_path / "parts", MAX_DISTANCE_TO_OPTIMUM)
@@ -98,7 +98,7 @@ def test_a_network_that_takes_too_much_memory_is_refused_with_the_way_to_permit_
     limit: str, word: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file.write_text(FEW)
-    monkeypatch.setattr(f"ltsim.campaigns.truth.{limit}", 20)
+    monkeypatch.setattr(f"ltsim.campaigns.cell_truth.{limit}", 20)
     with pytest.raises(
         InputError, match=rf"the network has \d+ {word}.* takes at most 20: .*{POINTINGS_LIMIT_VARIABLE}"
     ):

@@ -13,8 +13,8 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import removed_error_fraction
 from ltsim.campaigns.results import _matching_level
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import InputError, ModelError
 from ltsim.physics.effects import CATALOGUE

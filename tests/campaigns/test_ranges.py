@@ -8,10 +8,10 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.calibrators import StackCalibrator, make_calibrator, stack_geometries
+from ltsim.campaigns.cell_truth import CellTruth, make_cell_truth
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.layout_scorer import LayoutScorer

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.campaigns.columns import parameter_labels, parameter_value_columns
 from ltsim.campaigns.recovery_trials import with_errors_from_prior
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import change_scenario, load_scenario
 

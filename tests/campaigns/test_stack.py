@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
+from ltsim.campaigns.cell_truth import CellTruth, make_cell_truth
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import change_scenario, load_scenario
 

@@ -22,7 +22,7 @@ from ltsim.core.equality import ValueEquality, equal_values
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
 from ltsim.reports.verbs import View
-from ltsim.simulation.inject import DetectionCurve
+from ltsim.simulation.injector import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 from tests.families import family
 

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction

@@ -49,7 +49,7 @@ from ltsim.reports.figures.campaign_factors import (
 from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_preset_names_text
 from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
-from ltsim.simulation.keys import key_description
+from ltsim.simulation.scenario_keys import key_description
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

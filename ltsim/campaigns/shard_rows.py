@@ -18,6 +18,7 @@ from ltsim.campaigns.calibrators import (
     make_calibrator,
     stack_geometries,
 )
+from ltsim.campaigns.cell_truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.campaigns.columns import (
     ResultColumns,
     append_factor_levels,
@@ -32,7 +33,6 @@ from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
 from ltsim.campaigns.store import parquet_bytes, stored_statistics
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import TRIALS_PER_STREAM
