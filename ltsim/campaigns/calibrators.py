@@ -182,8 +182,8 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
     for number, truth in truths.items():
         evaluator = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
-        whole = truth.recording.is_measured.all(axis=0).all()
-        pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
+        is_complete = truth.recording.is_measured.all(axis=0).all()
+        pattern = np.sort(_pointing_keys(truth)).tobytes() if is_complete else number
         key = (*names, pattern, evaluator.has_criteria, evaluator.is_frame_determined.tobytes())
         trials_by_pattern.setdefault(key, []).append(number)
     for numbers in trials_by_pattern.values():

@@ -170,8 +170,9 @@ def _input_files(
     root = (named[0] if named else file).resolve().parent
     scenarios = (place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None)
     for path in cad_files(scenarios):
-        whole = path.resolve()
-        name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
+        resolved_path = path.resolve()
+        is_in_folder = resolved_path.is_relative_to(root)
+        name = resolved_path.relative_to(root).as_posix() if is_in_folder else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
@@ -331,7 +332,7 @@ def _pending_tasks_and_notes(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
         )
         state = store.shard_status(cell, shard, task.shard_metadata, n_rows_of_shard(campaign, shard), digests)
-        if state == "whole":
+        if state == "complete":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.record_digest(cell, shard)
             progress(n_rows_of_shard(campaign, shard))

@@ -222,11 +222,11 @@ def score_calibration(
     effect_scores = effect_scores.reshape(-1, 3).T
     z = (1.0 if plain else np.nan) * (effect_scores[0] - effect_scores[2]) / effect_scores[1]
     value, sigma, right, scores = np.concatenate([instrument, np.vstack([effect_scores, z])], axis=1)
-    names, shown = (
+    names, display_units = (
         tuple(calibration.instrument_parameter_names) + tuple(fitted),
         units + tuple(e.unit for e in fitted.values()),
     )
-    return TrialScore(names, shown, value, sigma, right, scores, network)
+    return TrialScore(names, display_units, value, sigma, right, scores, network)
 
 
 def _effect_parameter_estimates(calibration: Calibration) -> dict[str, ParameterEstimate]:

@@ -232,9 +232,9 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
     new_statistics = tuple(name for name in campaign.statistics if name not in stored_statistics(held))
     if not new_statistics:
         order = pa.array([method.title for method in campaign.methods])
-        whole = pa.concat_tables([held, _compute_new_rows(task, len(held) // len(order))], promote_options="default")
-        places = pa.compute.index_in(whole["method"], order).to_numpy()
-        return whole.take(np.lexsort((whole["trial"].to_numpy(), places))).combine_chunks()
+        table = pa.concat_tables([held, _compute_new_rows(task, len(held) // len(order))], promote_options="default")
+        method_indices = pa.compute.index_in(table["method"], order).to_numpy()
+        return table.take(np.lexsort((table["trial"].to_numpy(), method_indices))).combine_chunks()
     if len(held) < n_rows_of_shard(campaign, task.shard):
         return _compute_new_rows(task, 0)
     reduced_campaign = campaign.model_copy(

@@ -206,7 +206,7 @@ class CampaignFolder:
     def shard_status(
         self, cell: int, shard: int, required_metadata: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
     ) -> str:
-        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
+        """Status of a shard: `complete`, `missing`, `damaged`, or `incomplete` (rows or columns are missing).
 
         `required_metadata` and `n_rows` are metadata and number of rows of a complete shard, `digests` the recorded
         digests by path.
@@ -216,18 +216,18 @@ class CampaignFolder:
             return "missing"
         try:
             table = read_shard(path)
-            noted, label = digests.get(path.relative_to(self.folder).as_posix()), _shard_metadata(table)
-            same = noted in (None, _file_digest(path)) and all(
+            recorded_digest, label = digests.get(path.relative_to(self.folder).as_posix()), _shard_metadata(table)
+            is_same_shard = recorded_digest in (None, _file_digest(path)) and all(
                 label[k] == required_metadata[k] for k in ("campaign", "cell", "shard")
             )
-            short = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
+            is_incomplete = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
                 *stored_statistics(table)
             }
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
-        if not same or len(table) > n_rows:
+        if not is_same_shard or len(table) > n_rows:
             return "damaged"
-        return "short" if short else "whole"
+        return "incomplete" if is_incomplete else "complete"
 
     def quarantine_shard(self, cell: int, shard: int) -> Path:
         """New path of a damaged shard, after it is renamed so that the user can inspect it."""

@@ -138,8 +138,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
     with as_input_error():
-        whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
-        scenario = validate_settings(whole, Scenario, "scenario", file)
+        completed_tables = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
+        scenario = validate_settings(completed_tables, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_reduced_network(scenario, file), file)
 
