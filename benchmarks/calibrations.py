@@ -35,12 +35,12 @@ from benchmarks.peers import (
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
-from ltsim.campaigns.cell_truth import TRIALS_PER_STREAM, TrialBatch
 from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, recording_of_trial
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import align_columns
 from ltsim.physics.model.construction import misalignment_construction
@@ -61,7 +61,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
-    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.truth, block, trial))
+    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, trial))
     if full is None:
         return float("nan")
     z = np.abs(values - own[0]) / engine.batch_network.parameter_sigmas[0]
@@ -128,10 +128,10 @@ def _peer(
     count = max(2, trials // 4) if "differences" in name else trials
     worst, least = 0.0, np.inf
     for k in range(count):
-        recording = recording_of_trial(engine.truth, block, k)
+        recording = recording_of_trial(engine.true_network, block, k)
         for _ in range(2):
             start = time.process_time()
-            problem = DenseProblem(recording, engine.construction, engine.truth.state)
+            problem = DenseProblem(recording, engine.construction, engine.true_network.state)
             x = solver(problem)
             least = min(least, time.process_time() - start)
         _, _, points, values = problem.state(x)

@@ -20,7 +20,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA, TrialDistribution, distributions_figure
-from ltsim.simulation.workshop import measure_nominal_points
+from ltsim.simulation.workshop import measure_points_by_cmm
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
@@ -74,7 +74,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
         assert work.validation_batch is not None
         assert cell.validation_scenario is not None
         there, elsewhere, _ = work.validation_batch
-        room, names = there.truth, here.truth.recording.stations
+        room, names = there.true_network, here.true_network.recording.stations
         true = (
             room.state.target_points,
             room.recording.targets,
@@ -82,7 +82,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
             campaign.seed,
             "nominal",
         )
-        nominal = {i: measure_nominal_points(*true, int(block.trial_numbers[i])) for i in wanted}
+        nominal = {i: measure_points_by_cmm(*true, int(block.trial_numbers[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):

@@ -27,11 +27,11 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
-from ltsim.campaigns.cell_truth import TrialBatch
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
+from ltsim.campaigns.true_network import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute
@@ -70,7 +70,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
     @cached_property
     def distance_problem(self) -> DistanceProblem:
         """Distance objective at the nominal network."""
-        recording = self.truth.recording
+        recording = self.true_network.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
@@ -116,7 +116,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @property
     def _chain_program(self) -> ChainProgram:
-        return self.truth.chain_program(self.construction)
+        return self.true_network.chain_program(self.construction)
 
     @cached_property
     def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
@@ -127,7 +127,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         (pointings,), pairs (lengths, 2).
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.station_face_indices
-        visible, share = measured_targets_and_weights(self.truth, sets)
+        visible, share = measured_targets_and_weights(self.true_network, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
@@ -157,7 +157,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         """
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._distance_objective_arrays
-        recording, trials = self.truth.recording, deviation.shape[2]
+        recording, trials = self.true_network.recording, deviation.shape[2]
         reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + trial_batch.length_errors
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
@@ -187,7 +187,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + trial_batch.reading_deviations[:, :, trial]
+            trial: self.true_network.recording.readings + trial_batch.reading_deviations[:, :, trial]
             for trial in trial_indices.tolist()
         }
         combinations_by_trial = {
@@ -245,7 +245,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
+        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
@@ -256,10 +256,10 @@ class BatchDistanceCalibrator(BatchCalibrator):
         """Network adjustment of the trials, after correction of their readings by `parameter_values` [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
+        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
-        is_back_face = (self.truth.recording.face == 2)[:, None]
+        is_back_face = (self.true_network.recording.face == 2)[:, None]
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, horizontal)
         raw_readings = np.stack(
             [
@@ -269,6 +269,6 @@ class BatchDistanceCalibrator(BatchCalibrator):
             ],
             axis=1,
         )
-        corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
+        corrected_readings = raw_readings - self.true_network.recording.readings[:, :, None]
         corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
         return self.batch_network.fit_trials(corrected_readings, trial_batch.length_errors)

@@ -27,8 +27,8 @@ from ltsim.solve.design import to_dense
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_ASSUMED_CONVERGENCE_RATE = 1e-3
-"""Smallest assumed ratio of the distances to the optimum after and before a step; a larger ratio is estimated from the
-last two steps."""
+"""Smallest assumed convergence rate: ratio of the distances to the optimum after and before a step. A larger ratio is
+estimated from the last two steps."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
-from ltsim.campaigns.cell_truth import make_campaign_geometry
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.shard_rows import ShardTask, cell_context, n_rows_of_shard, run_task
@@ -38,6 +37,7 @@ from ltsim.campaigns.spec import (
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
+from ltsim.campaigns.true_network import make_campaign_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
 from ltsim.core.parallel import run_parallel

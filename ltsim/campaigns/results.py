@@ -60,7 +60,7 @@ class CampaignResults(CampaignStatistics, Result):
         return paired_differences(self, statistic, **pair)
 
     def bootstrap_statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
-        """Value of a function of the trials for each cell and method, with its 95 % confidence interval.
+        """Value of a function of the trials for each cell and method, with its 95 % bootstrap confidence interval.
 
         Parameters
         ----------

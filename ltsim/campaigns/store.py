@@ -81,11 +81,11 @@ def read_shard(path: Path) -> pa.Table:
     """
     open_for_reading(path).close()  # the library would wait for a pipe
     file = pq.ParquetFile(path, page_checksum_verification=True)
-    _require_few_rows(path, file.metadata)
+    _check_number_of_rows(path, file.metadata)
     return file.read()
 
 
-def _require_few_rows(path: Path, metadata: pq.FileMetaData) -> None:
+def _check_number_of_rows(path: Path, metadata: pq.FileMetaData) -> None:
     """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
     if metadata.num_rows > MAX_READ_SHARD_ROWS:
         raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_READ_SHARD_ROWS}")
@@ -133,7 +133,7 @@ class CampaignFolder:
             if name in digests:
                 if _file_digest(path) != digests[name]:
                     raise ValueError(f"{name} was changed since it was written")
-                _require_few_rows(path, pq.read_metadata(path))
+                _check_number_of_rows(path, pq.read_metadata(path))
                 continue
             label = _shard_metadata(read_shard(path))
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
@@ -221,7 +221,7 @@ class CampaignFolder:
                 label[k] == required_metadata[k] for k in ("campaign", "cell", "shard")
             )
             is_incomplete = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
-                *stored_statistics(table)
+                *stored_statistic_groups(table)
             }
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
@@ -275,7 +275,7 @@ class CampaignFolder:
             raise interruption_error(self.folder, reason, cure) from None
 
 
-def stored_statistics(table: pa.Table) -> list[str]:
+def stored_statistic_groups(table: pa.Table) -> list[str]:
     """Names of the groups of results in the rows of a shard, from the metadata of its file."""
     return _shard_metadata(table)["statistics"].split()
 

@@ -17,8 +17,8 @@ from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.batch_network import BatchNetwork
-from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
 from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion_design
@@ -78,14 +78,16 @@ class CalibratedBatch:
 
     @classmethod
     def from_failed_trials(
-        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
+        cls, true_network: TrueNetwork, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBatch:
         """Results for trials without a solution: all estimates are NaN, and the status is `failed`."""
-        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, n_trials), np.nan)
-        points = np.full((*truth.state.target_points.shape[:2], n_trials), np.nan)
+        instrument_values = np.full(
+            (len(true_network.recording.instruments), construction.n_parameters, n_trials), np.nan
+        )
+        points = np.full((*true_network.state.target_points.shape[:2], n_trials), np.nan)
         effect_values = np.full((sum(len(e.parameters) for e in effects), n_trials), np.nan)
         is_lost = np.full(n_trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
-        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in truth.reflector_masks}
+        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in true_network.reflector_masks}
         return cls(
             instrument_values,
             instrument_values.copy(),
@@ -117,7 +119,7 @@ class CalibratedBatch:
 class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
-    truth: CellTruth
+    true_network: TrueNetwork
     """True network geometry of the cell whose trials are calibrated."""
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
@@ -138,9 +140,9 @@ class TrialCalibrator:
         return float("nan")
 
 
-def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) -> Recording:
+def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial: int) -> Recording:
     """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
-    recording = truth.recording.with_readings(truth.trial_readings(trial_batch, trial))
+    recording = true_network.recording.with_readings(true_network.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
     return with_certified_lengths(
         recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
@@ -160,14 +162,14 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - reference_points) ** 2)))
 
 
-def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[Bools, Floats]:
+def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -> tuple[Bools, Floats]:
     """Mask (sets, targets) of the targets measured completely in each set of pointings, and weights (pointings,).
 
     The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (pointings,) is the set
     of each pointing.
     """
-    recording, targets = truth.recording, len(truth.recording.targets)
-    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.is_recorded_observable.all())
+    recording, targets = true_network.recording, len(true_network.recording.targets)
+    is_complete = np.asarray(recording.is_measured.all(axis=1) & true_network.is_recorded_observable.all())
     key = set_numbers * targets + recording.target
     n_members = np.bincount(key[is_complete], minlength=(int(set_numbers.max()) + 1) * targets)
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
@@ -202,11 +204,13 @@ class SerialCalibrator(TrialCalibrator):
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Estimates for the trials of a batch; only the trials with the indices `trial_indices` are computed."""
         calibrated = CalibratedBatch.from_failed_trials(
-            self.truth, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
+            self.true_network, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
         for trial in trial_indices.tolist():
             try:
-                adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, trial_batch, trial))
+                adjustment, values, sigma = self.adjust_recording(
+                    recording_of_trial(self.true_network, trial_batch, trial)
+                )
             except LtsimError:
                 continue
             if adjustment is None or not np.all(np.isfinite(values)):
@@ -220,7 +224,7 @@ class SerialCalibrator(TrialCalibrator):
                     adjustment.state.extra_parameters
                 ).items():
                     calibrated.incidence_parameters[name][:, trial] = parameters
-            true = self.truth.state.target_points
+            true = self.true_network.state.target_points
             calibrated.target_errors[:, :, trial] = align_targets(adjustment, true) - true
             calibrated.chi2[trial], calibrated.status_indices[trial] = (
                 adjustment.chi2,
@@ -256,14 +260,16 @@ class BatchCalibrator(TrialCalibrator):
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
         """Full solver for trials that the batch cannot solve, and for verification."""
-        return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
+        return SerialCalibrator(self.true_network, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
         """Nominal network, whose inverted normal matrix is used to adjust all trials."""
-        truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
-        program, recorded = truth.chain_program(built), truth.is_recorded_observable
-        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
+        true_network, built = self.true_network, self.construction if self.method == "network" else ideal_construction()
+        program, recorded = true_network.chain_program(built), true_network.is_recorded_observable
+        return BatchNetwork(
+            true_network.recording, true_network.state, built, program, self.effects, is_adjusted_observable=recorded
+        )
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
@@ -284,7 +290,7 @@ class BatchCalibrator(TrialCalibrator):
         trial_indices = np.arange(len(trial_batch.trial_numbers)) if trial_indices is None else trial_indices
         calibrated, good = self.calibrate_batch(trial_batch, trial_indices)
         is_sufficient = good & ~possible_gross_error_mask(
-            trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
+            trial_batch.reading_deviations, self.true_network.sightings.local_points[:, :, None]
         )
         single_trials = trial_indices[~is_sufficient[trial_indices]]
         per_trial = self.serial_calibrator.calibrate(trial_batch, single_trials) if len(single_trials) else calibrated
@@ -308,7 +314,7 @@ class BatchCalibrator(TrialCalibrator):
             np.abs(serial_batch.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
-        truth = self.truth.state.target_points
+        truth = self.true_network.state.target_points
         batch = truth + results.target_errors[:, :, trial]
         gap = (
             np.abs(align_to_points(truth + serial_batch.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
@@ -321,7 +327,7 @@ class BatchCalibrator(TrialCalibrator):
         start, end = self.batch_network.block_end_indices[:2]
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
-        points = self.truth.state.target_points
+        points = self.true_network.state.target_points
         datum = InnerDatum.from_columns(
             rigid_motion_design(points, points.mean(axis=0)), columns, covariance.__matmul__
         )

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.campaigns.cell_truth import CellTruth, TrialBatch
 from ltsim.campaigns.cloud_kernels import (
     MICROMETRES_PER_METRE,
     add_squared_errors,
@@ -22,6 +21,7 @@ from ltsim.campaigns.cloud_kernels import (
 from ltsim.campaigns.columns import ResultColumns
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, measured_targets_and_weights
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
@@ -40,13 +40,13 @@ class TrialEvaluator:
     Quantities that do not depend on the method are computed once per batch of trials.
     """
 
-    truth: CellTruth
+    true_network: TrueNetwork
     """True network geometry of the trials."""
 
     @cached_property
     def _mean_weights(self) -> tuple[Bools, Floats]:
         """Mask (stations, targets) of completely measured targets, and weights (pointings,) in their mean points."""
-        return measured_targets_and_weights(self.truth, self.truth.recording.station)
+        return measured_targets_and_weights(self.true_network, self.true_network.recording.station)
 
     @property
     def is_measured(self) -> Bools:
@@ -85,16 +85,22 @@ class TrialEvaluator:
         (pointings, 3, trials) are readings minus nominal readings. The readings are corrected by the parameters
         `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model.
         """
-        recording, trials = self.truth.recording, reading_deviations.shape[2]
+        recording, trials = self.true_network.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
             construction, parameter_values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(reading_deviations.shape), np.zeros((*self.is_measured.shape, 3, trials))
         compute_points(
-            self.truth.chain_program(construction), recording.instrument, reading_deviations, parameter_values, points
+            self.true_network.chain_program(construction),
+            recording.instrument,
+            reading_deviations,
+            parameter_values,
+            points,
         )
         add_weighted_points(points, recording.station, recording.target, self._mean_weights[1], clouds)
         transform_to_network(
-            clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions
+            clouds,
+            np.ascontiguousarray(self.true_network.state.station_rotations),
+            self.true_network.state.station_positions,
         )
         return clouds
 
@@ -121,7 +127,7 @@ class TrialEvaluator:
 
     def _true_targets(self, n_trials: int) -> Floats:
         """True positions of the targets for each of `n_trials` trials, (targets, 3, trials) [m]."""
-        points = self.truth.state.target_points
+        points = self.true_network.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
     def measured_point_error(self, clouds: Floats) -> Floats:
@@ -162,7 +168,7 @@ class TrialEvaluator:
         """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
         raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
         perfect = self.mean_points_by_station(
-            trial_batch.reading_deviations, self.truth.construction, trial_batch.instrument_values
+            trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
         )
         columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
         columns["error_raw_um"] = self.measured_point_error(raw_clouds)
@@ -185,10 +191,10 @@ class TrialEvaluator:
         deviation = trial_batch.reading_deviations
         if estimates.incidence_parameters:
             deviation = deviation.copy()
-            deviation[:, 0] -= self.truth.incidence_errors(estimates.incidence_parameters)
+            deviation[:, 0] -= self.true_network.incidence_errors(estimates.incidence_parameters)
         if effects:
             deviation = deviation - np.einsum(
-                "ncqb,qb->ncb", self.truth.effect_design(tuple(effects)), estimates.effect_values
+                "ncqb,qb->ncb", self.true_network.effect_design(tuple(effects)), estimates.effect_values
             )
         corrected_clouds = self.mean_points_by_station(deviation, construction, estimates.instrument_values)
         columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}

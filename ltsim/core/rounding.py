@@ -3,9 +3,9 @@
 import numpy as np
 
 SQRT_MACHINE_EPSILON = float(np.sqrt(np.finfo(np.float64).eps))
-"""Relative rounding error of a difference of squares in double precision, 1.5e-8 (half of the digits). A difference
-below this fraction of its terms counts as zero, numbers with a smaller relative difference count as equal, and an
-iteration that converges quadratically ends at a smaller relative step."""
+"""Square root of the machine epsilon in double precision, 1.5e-8 (half of the digits): relative rounding error of a
+difference of squares. A difference below this fraction of its terms counts as zero, numbers with a smaller relative
+difference count as equal, and an iteration that converges quadratically ends at a smaller relative step."""
 NORMAL_EQUATIONS_TOLERANCE = 1e-6
 """Relative rounding error of numbers computed from normal equations: redundancy numbers, squared fractions of an effect
 that remain in residuals, coefficients of combinations, log evidences. A smaller number counts as zero. The limit

@@ -35,7 +35,7 @@ from ltsim.simulation.physics import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
-from ltsim.simulation.workshop import measure_nominal_points, measured_length_sigmas
+from ltsim.simulation.workshop import cmm_length_sigmas, measure_points_by_cmm
 
 GeometrySharing = Literal["shared", "per-trial"]
 """Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
@@ -248,7 +248,7 @@ def _truth_of_trial(
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
     if scenario.cmm.measures_targets:
-        nominal = measure_nominal_points(
+        nominal = measure_points_by_cmm(
             s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
         )
     arrays = TruthArrays(
@@ -294,7 +294,7 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     certified = (
         np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.expansion_factors
     )
-    by_machine = measured_length_sigmas(scenario.cmm, certified).tolist()
+    by_machine = cmm_length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
     return with_certified_lengths(blank, certified, sigma)
 

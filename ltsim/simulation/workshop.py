@@ -136,13 +136,13 @@ def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, work
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
-def measured_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
+def cmm_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
     """Standard deviation [m] of each length: the machine's maximum permissible error divided by its coverage factor."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
     return largest * MICROMETRE / measuring_machine.coverage_factor
 
 
-def measure_nominal_points(
+def measure_points_by_cmm(
     points: Floats,
     names: tuple[str, ...],
     measuring_machine: CoordinateMeasuringMachine,

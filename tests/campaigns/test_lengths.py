@@ -6,8 +6,8 @@ import numpy as np
 
 import ltsim as lt
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
-from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
+from ltsim.campaigns.true_network import make_true_network
 
 BARS = lt.scenario(
     "paper-workshop",
@@ -25,7 +25,7 @@ BARS = lt.scenario(
 
 
 def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
-    truth = make_cell_truth(BARS, 4, "campaign")
+    truth = make_true_network(BARS, 4, "campaign")
     block = truth.draw_batch(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)

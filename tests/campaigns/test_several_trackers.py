@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.cell_truth import make_cell_truth
 from ltsim.campaigns.columns import parameter_labels, parameter_value_columns
 from ltsim.campaigns.recovery_trials import with_errors_from_prior
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import change_scenario, load_scenario
 
@@ -20,7 +20,7 @@ TWO = load_scenario("two-trackers")
 
 
 def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
-    truth = make_cell_truth(TWO, 4, "campaign")
+    truth = make_true_network(TWO, 4, "campaign")
     block = truth.draw_batch(4, 0, 64)
     assert block.instrument_values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):

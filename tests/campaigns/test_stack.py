@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
-from ltsim.campaigns.cell_truth import CellTruth, make_cell_truth
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
+from ltsim.campaigns.true_network import TrueNetwork, make_true_network
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TRIALS = 5
 
 
-def drawn(name: str) -> dict[int, CellTruth]:
+def drawn(name: str) -> dict[int, TrueNetwork]:
     """Truths whose pointings come in different orders."""
     scenario = change_scenario(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
-    common = make_cell_truth(scenario, 8, "campaign")
-    return {k: make_cell_truth(scenario, 8, "campaign", k, reference_truth=common) for k in range(TRIALS)}
+    common = make_true_network(scenario, 8, "campaign")
+    return {k: make_true_network(scenario, 8, "campaign", k, reference_network=common) for k in range(TRIALS)}
 
 
 @pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])

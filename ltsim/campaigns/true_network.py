@@ -51,7 +51,7 @@ MAX_CACHED_EFFECT_DESIGNS = 8
 
 
 def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
-    """Result of `make_measurement_geometry` for a scenario of a campaign.
+    """Network geometry of a scenario of a campaign, with a check of its size.
 
     InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
     """
@@ -96,7 +96,7 @@ class TrialBatch:
 
 
 @dataclass(frozen=True)
-class CellTruth:
+class TrueNetwork:
     """True network geometry of a cell (combination of factor levels), and distributions of its random values."""
 
     recording: Recording
@@ -314,17 +314,17 @@ class CellTruth:
         return readings
 
 
-def make_cell_truth(
+def make_true_network(
     scenario: Scenario,
     seed: int,
     *key: str | int,
-    reference_truth: CellTruth | None = None,
+    reference_network: TrueNetwork | None = None,
     planned_layout: WorkshopLayout | None = None,
-) -> CellTruth:
+) -> TrueNetwork:
     """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
-    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_truth` is
-    another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
+    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_network`
+    is another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
     `planned_layout` is the planned layout, if it was computed before.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
@@ -333,23 +333,23 @@ def make_cell_truth(
     geometry = make_measurement_geometry(scenario, seed, *key, plan=planned_layout)
     if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
         raise InputError("reflectors: a campaign uses one SMR radius; give all SMRs of the scenario the same radius")
-    s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
+    s, reference = geometry.sightings, None if reference_network is None else reference_network.recording
     if (
-        reference_truth
+        reference_network
         and reference
         and not scenario.lengths
         and (s.station_names, s.target_names) == (reference.stations, reference.targets)
     ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(reference_truth.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
+        there = replace(reference_network.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
             _state_in_start_frame(geometry, there.instrument_means),
         )
-        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)
+        return replace(reference_network, recording=nominal, state=state, distributions=there, geometry=geometry)
     recording = error_free_recording(geometry)
     population = trial_distributions(geometry, recording)
-    return CellTruth(
+    return TrueNetwork(
         recording=recording,
         state=_state_in_start_frame(geometry, population.instrument_means),
         distributions=population,
