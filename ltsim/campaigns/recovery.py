@@ -101,7 +101,7 @@ class Recovery(ResultFile):
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
             error_origin=trials.error_origin,
-            trials=len(trials.trials),
+            trials=len(trials.trial_scores),
             trials_with_result=len(trials.available_trial_scores),
             seed=seed,
             checks=checks,

@@ -189,7 +189,7 @@ def calibrate_by_settings(
 class RecoveryTrials(ValueEquality):
     """All trials of a recovery check, with their statistics and checks."""
 
-    trials: tuple[TrialScore | None, ...]
+    trial_scores: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
     error_origin: ErrorOrigin = "drawn"
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
@@ -212,7 +212,7 @@ class RecoveryTrials(ValueEquality):
     @property
     def available_trial_scores(self) -> list[TrialScore]:
         """Scores of the trials with a result."""
-        return [trial for trial in self.trials if trial is not None]
+        return [trial for trial in self.trial_scores if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
         """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
@@ -236,7 +236,7 @@ class RecoveryTrials(ValueEquality):
             {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
              "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
              "ltsim_estimate": None if trial.ltsim_score is None else trial.ltsim_score.estimates[k]}
-            for number, trial in enumerate(self.trials)
+            for number, trial in enumerate(self.trial_scores)
             if trial is not None
             for k, name in enumerate(trial.parameter_names)
         ]  # fmt: skip
@@ -282,7 +282,7 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
-        n_lost = len(self.trials) - len(self.available_trial_scores)
+        n_lost = len(self.trial_scores) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:
             return checks

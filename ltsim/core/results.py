@@ -291,7 +291,7 @@ class Table(ValueEquality):
         """Meanings of the displayed columns by displayed title; columns without a meaning are omitted."""
         return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
-    def cells(self) -> list[list[str]]:
+    def displayed_cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
         pairs = [(c, c.sigma_column or c.uncertainty_column) for c in self._displayed_columns]
@@ -300,7 +300,9 @@ class Table(ValueEquality):
     def text(self) -> str:
         """Aligned text of the table for a terminal: text flush left, numbers flush right."""
         kinds = [column.kind == "text" for column in self._displayed_columns]
-        return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
+        return align_columns(
+            self.headings, self.displayed_cells(), kinds.index(False) if False in kinds else len(kinds)
+        )
 
     def html_table(self) -> str:
         """HTML table of the first `MAX_NOTEBOOK_ROWS` rows for a notebook; texts are escaped."""
@@ -311,7 +313,7 @@ class Table(ValueEquality):
         )
         row_html = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
+            for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).displayed_cells()
         )
         n_more = len(self.rows) - MAX_NOTEBOOK_ROWS
         more_rows_html = f"<p>and {n_more} more rows: to_dataframe()</p>" if n_more > 0 else ""

@@ -118,7 +118,7 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
     return points
 
 
-def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
+def gauge_expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
     """Ratio of the gauge's lengths at the hall's temperature to its lengths at the calibration temperature."""
     measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
     return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
@@ -132,7 +132,9 @@ def gauge_rotation(gauge: ScenarioGauge) -> Floats:
 
 def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, workshop_temperature_c: float) -> Floats:
     """Coordinates (targets, 3) [m] of the gauge's targets at its planned pose and at the hall's temperature."""
-    points: Floats = expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
+    points: Floats = (
+        gauge_expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
+    )
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 

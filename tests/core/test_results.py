@@ -72,7 +72,7 @@ def test_a_table_is_written_and_read_back():
 def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
     table = POINTS.with_rows(ROWS)
     assert table.headings == ["target", "x [mm]", "share [%]", "moved"]
-    assert table.cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
+    assert table.displayed_cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
     assert table.meanings["x [mm]"] == "coordinate"
     assert table.text().splitlines()[1].startswith("=T1     1000.123 +- 0.012")
 

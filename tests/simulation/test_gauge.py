@@ -15,7 +15,7 @@ from ltsim.simulation.simulator import error_free_recording, trial_distributions
 from ltsim.simulation.workshop import (
     PAPER_TABLE_2_LENGTHS,
     cmm_length_sigmas,
-    expansion_factor,
+    gauge_expansion_factor,
     gauge_points_in_workshop,
     gauge_rotation,
     make_gauge_frame,
@@ -77,8 +77,10 @@ def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
     points = gauge_points_in_workshop(gauge, frame, 27.0)
     grown = np.linalg.norm(points[frame.first_targets] - points[frame.second_targets], axis=1)
     assert (grown - frame.lengths)[0] == pytest.approx(357.6066e-3 * 23.2e-6 * 7, rel=1e-6)
-    assert expansion_factor(gauge, 20.0) == 1.0
-    assert expansion_factor(ScenarioGauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(1 + 23.2e-5)
+    assert gauge_expansion_factor(gauge, 20.0) == 1.0
+    assert gauge_expansion_factor(ScenarioGauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(
+        1 + 23.2e-5
+    )
 
 
 def test_certificate_scatters_as_the_machine_promises() -> None:
