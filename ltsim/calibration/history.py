@@ -13,7 +13,7 @@ from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import names_text
 from ltsim.core.probability import p_relation_text
-from ltsim.core.results import Column, ColumnValues, Table, columns_of_model, text_columns
+from ltsim.core.results import Column, ColumnValues, Table, model_columns, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
@@ -83,7 +83,7 @@ CALIBRATION_FITS_TABLE = Table(
 EVENTS_TABLE = Table(
     "events.csv",
     "changes of parameters between successive calibrations that are outliers among the changes of the same parameter",
-    columns_of_model(
+    model_columns(
         EventEntry,
         "from_ to name difference sigma usual_step_sigma unit p_value",
         from_={"name": "from"},

@@ -15,7 +15,7 @@ from scipy import stats
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Table, columns_of_model
+from ltsim.core.results import Table, model_columns
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 RECOVERY_FALSE_ALARM_RATE = 0.01
@@ -78,9 +78,7 @@ class RecoveryCheck(Entry):
         return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"
 
 
-RECOVERY_CHECKS_TABLE = Table(
-    "checks.csv", "numbers that have to lie between two bounds", columns_of_model(RecoveryCheck)
-)
+RECOVERY_CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", model_columns(RecoveryCheck))
 
 
 def recovery_checks(

@@ -33,7 +33,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
-from ltsim.core.results import Table, columns_of_model, number_columns, text_columns
+from ltsim.core.results import Table, model_columns, number_columns, text_columns
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
@@ -81,7 +81,7 @@ class RecoveredParameter(Entry):
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
-    "parameters.csv", "errors of each parameter over the trials", columns_of_model(RecoveredParameter)
+    "parameters.csv", "errors of each parameter over the trials", model_columns(RecoveredParameter)
 )
 TRIALS_TABLE = Table(
     "trials.csv",

@@ -141,9 +141,7 @@ def flag_columns(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
-def columns_of_model(
-    model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]
-) -> tuple[Column, ...]:
+def model_columns(model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]) -> tuple[Column, ...]:
     """Columns for the fields of a pydantic model, with the descriptions of the fields as meanings.
 
     `names` lists the fields, separated by blanks; default all. `column_options` holds further arguments of the `Column`
@@ -299,10 +297,8 @@ class Table(ValueEquality):
 
     def text(self) -> str:
         """Aligned text of the table for a terminal: text flush left, numbers flush right."""
-        kinds = [column.kind == "text" for column in self._displayed_columns]
-        return align_columns(
-            self.headings, self.displayed_cells(), kinds.index(False) if False in kinds else len(kinds)
-        )
+        is_text = [column.kind == "text" for column in self._displayed_columns]
+        return align_columns(self.headings, self.displayed_cells(), [*is_text, False].index(False))
 
     def html_table(self) -> str:
         """HTML table of the first `MAX_NOTEBOOK_ROWS` rows for a notebook; texts are escaped."""
