@@ -44,14 +44,14 @@ class TrialEvaluator:
     """True network geometry of the trials."""
 
     @cached_property
-    def _mean_weights(self) -> tuple[Bools, Floats]:
+    def _measured_targets_and_weights(self) -> tuple[Bools, Floats]:
         """Mask (stations, targets) of completely measured targets, and weights (pointings,) in their mean points."""
         return measured_targets_and_weights(self.true_network, self.true_network.recording.station)
 
     @property
     def is_measured(self) -> Bools:
         """Mask (stations, targets) of the targets that each station measured completely."""
-        return self._mean_weights[0]
+        return self._measured_targets_and_weights[0]
 
     @cached_property
     def has_criteria(self) -> bool:
@@ -96,7 +96,7 @@ class TrialEvaluator:
             parameter_values,
             points,
         )
-        add_weighted_points(points, recording.station, recording.target, self._mean_weights[1], clouds)
+        add_weighted_points(points, recording.station, recording.target, self._measured_targets_and_weights[1], clouds)
         transform_to_network(
             clouds,
             np.ascontiguousarray(self.true_network.state.station_rotations),

@@ -22,7 +22,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.physics import reflector_error_parameters
+from ltsim.simulation.physics import incidence_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_ROUNDING_STEP = 1e-4 * MILLIMETRE
@@ -64,7 +64,7 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
         given = {} if entry is None else entry.values
         mean = np.array([given.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
         if entry is None:
-            mean = reflector_error_parameters(scenario)
+            mean = incidence_error_parameters(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         counts[effect.name, effect.place_text] += 1

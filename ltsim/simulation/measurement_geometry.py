@@ -68,7 +68,7 @@ def make_measurement_geometry(
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
             raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
-    sightings = _sightings(scenario, layout, table.is_visible, seed, *stream_key)
+    sightings = _sightings_in_measurement_order(scenario, layout, table.is_visible, seed, *stream_key)
     sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
         scenario=scenario,
@@ -121,7 +121,7 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
     return (f"{len(lost)} of {visibility.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
-def _sightings(
+def _sightings_in_measurement_order(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
     """Pointings in the order of measurement, of targets that at least one station sees.

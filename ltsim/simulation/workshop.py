@@ -197,7 +197,7 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
         points = np.concatenate(
             [points, gauge_points_in_workshop(scenario.gauge, frame, scenario.workshop.temperature_c)]
         )
-    normal, reaimed = _nest_normals_and_flags(scenario, position, points)
+    normal, reaimed = _nest_normals_and_reaimed_mask(scenario, position, points)
     return WorkshopLayout(
         station_names=tuple(scenario.stations),
         target_names=scenario.target_names,
@@ -209,7 +209,7 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
     )
 
 
-def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
+def _nest_normals_and_reaimed_mask(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
     """Unit normals of the nests (targets, 3), and mask (targets,) of reflectors that are turned towards each station.
 
     `position` (stations, 3) and `points` (targets, 3) are planned positions [m]. A fixed nest without a declared normal
