@@ -34,13 +34,13 @@ from benchmarks.peers import (
 )
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.batch_distance import BatchDistance
-from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, recording_of_trial
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, TrialBatch
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import align_columns
 from ltsim.physics.model.construction import misalignment_construction
@@ -61,7 +61,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
-    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.truth, block, trial))
+    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, trial))
     if full is None:
         return float("nan")
     z = np.abs(values - own[0]) / engine.batch_network.parameter_sigmas[0]
@@ -128,10 +128,10 @@ def _peer(
     count = max(2, trials // 4) if "differences" in name else trials
     worst, least = 0.0, np.inf
     for k in range(count):
-        recording = recording_of_trial(engine.truth, block, k)
+        recording = recording_of_trial(engine.true_network, block, k)
         for _ in range(2):
             start = time.process_time()
-            problem = DenseProblem(recording, engine.construction, engine.truth.state)
+            problem = DenseProblem(recording, engine.construction, engine.true_network.state)
             x = solver(problem)
             least = min(least, time.process_time() - start)
         _, _, points, values = problem.state(x)
@@ -153,7 +153,7 @@ def parts() -> None:
     x, predicted = network._first_step(block.reading_deviations, block.length_errors)
     gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
-    raw = judge.station_clouds(block.reading_deviations)
+    raw = judge.mean_points_by_station(block.reading_deviations)
     steps: dict[str, Callable[[], object]] = {
         "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
         "draw: exact readings, two Newton steps": lambda: truth._exact_deviations(block.instrument_values),
@@ -163,11 +163,11 @@ def parts() -> None:
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
-        "judge: points of one set of parameters (three times)": lambda: judge.station_clouds(
+        "judge: points of one set of parameters (three times)": lambda: judge.mean_points_by_station(
             block.reading_deviations, engine.construction, found.instrument_values
         ),
         "judge: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
-        "judge: error against the truth (three times)": lambda: judge.cloud_error(raw),
+        "judge: error against the truth (three times)": lambda: judge.measured_point_error(raw),
     }
     print("\nWhere the time goes, us a trial:\n")
     rows = [[name, f"{1e6 * seconds(step, 20) / TRIALS_PER_STREAM:.1f}"] for name, step in steps.items()]
@@ -177,12 +177,12 @@ def parts() -> None:
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
-    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
+    batch, block = BatchDistanceCalibrator(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
     found = batch.calibrate(block, every)
     worst = max(batch.largest_solver_difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
     single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
+    absolute, some = BatchDistanceCalibrator(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
     apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
+from ltsim.campaigns.true_network import TrueNetwork, make_true_network
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
@@ -18,12 +18,12 @@ from ltsim.simulation.draws import TrialDistributions
 from ltsim.simulation.scenario import load_scenario
 
 
-def workshop() -> CellTruth:
+def workshop() -> TrueNetwork:
     """The paper's: 28 targets, 5 stations, one face."""
-    return make_cell_truth(load_scenario("paper-workshop"), 1, "benchmark")
+    return make_true_network(load_scenario("paper-workshop"), 1, "benchmark")
 
 
-def room(stations: int, targets: int) -> CellTruth:
+def room(stations: int, targets: int) -> TrueNetwork:
     """Stations on a circle of 1.5 m, targets on a spiral over the walls of a room of 8 m; 4 of them are a gauge."""
     turn = 2 * np.pi * np.arange(stations) / stations
     position = np.stack([1.5 * np.cos(turn), 1.5 * np.sin(turn), 1.6 + 0.3 * np.sin(3 * turn)], axis=1)
@@ -67,4 +67,4 @@ def room(stations: int, targets: int) -> CellTruth:
         reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=names,
     )
-    return CellTruth(recording, state, population)
+    return TrueNetwork(recording, state, population)

@@ -14,13 +14,13 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences,
     distance_errors,
 )
-from ltsim.campaigns.rows import CellContext, TrialBatchRows
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA_BY_SCENARIO, TrialDistribution, distributions_figure
-from ltsim.simulation.workshop import measure_nominal_points
+from ltsim.simulation.workshop import measure_points_by_cmm
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
@@ -69,12 +69,12 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
     ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.trial_batches(0, campaign.trials):
-        wanted = np.flatnonzero(block.trials < campaign.trials)
+        wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         assert work.validation_batch is not None
         assert cell.validation_scenario is not None
         there, elsewhere, _ = work.validation_batch
-        room, names = there.truth, here.truth.recording.stations
+        room, names = there.true_network, here.true_network.recording.stations
         true = (
             room.state.target_points,
             room.recording.targets,
@@ -82,12 +82,12 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
             campaign.seed,
             "nominal",
         )
-        nominal = {i: measure_nominal_points(*true, int(block.trials[i])) for i in wanted}
+        nominal = {i: measure_points_by_cmm(*true, int(block.trial_numbers[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
-                raw = judge.station_clouds(own.reading_deviations)
-                corrected = judge.station_clouds(own.reading_deviations, calibrator.construction, values)
+                raw = judge.mean_points_by_station(own.reading_deviations)
+                corrected = judge.mean_points_by_station(own.reading_deviations, calibrator.construction, values)
                 for i in wanted:
                     row = {}
                     for when, clouds in (("before", raw), ("after", corrected)):

@@ -8,10 +8,10 @@ import pandas as pd
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.rows import CellContext, TrialBatchRows
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, recording_of_trial
-from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import random_stream
@@ -30,7 +30,7 @@ MOST_REMOVED = 60
 class WithoutOutliers:
     """The network adjustment; the reading with the largest w-test goes, one after the other, while any is too large."""
 
-    def __init__(self, truth: CellTruth) -> None:
+    def __init__(self, truth: TrueNetwork) -> None:
         self.truth = truth
         self.construction: GeometricErrorModel = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
@@ -64,9 +64,9 @@ class WithoutOutliers:
         return float("nan")
 
 
-def with_outliers(truth: CellTruth, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
+def with_outliers(truth: TrueNetwork, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
-    draw = random_stream(seed, "outliers", int(block.trials[0]))
+    draw = random_stream(seed, "outliers", int(block.trial_numbers[0]))
     shape = block.reading_deviations.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
     size = draw.uniform(*SIZE, shape)
@@ -82,11 +82,11 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
     ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     parts: dict[str, list[pd.DataFrame]] = {}
     for here, calibrators, clean in ready.trial_batches(0, campaign.trials):
-        block = with_outliers(here.truth, clean, percent, campaign.seed)
-        wanted = np.flatnonzero(block.trials < campaign.trials)
+        block = with_outliers(here.true_network, clean, percent, campaign.seed)
+        wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
-        for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
+        for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.true_network)}).items():
             columns = {name: own[wanted] for name, own in work.method_columns(calibrator).items()}
             parts.setdefault(title, []).append(pd.DataFrame(columns))
     return {title: pd.concat(own) for title, own in parts.items()}

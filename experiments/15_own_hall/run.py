@@ -6,7 +6,7 @@ from experiments.common import Made, Options, Row, batches, tell, write_figure, 
 from ltsim.campaigns.calibrators import make_calibrator
 from ltsim.campaigns.cloud_kernels import align_rigidly
 from ltsim.campaigns.spec import CalibrationMethod
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
@@ -32,7 +32,7 @@ def changed(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
 
 def squares(scenario: Scenario, weights: dict[str, float], number: int, width: int) -> Floats:
     """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
-    truth = make_cell_truth(scenario, SEED, "campaign")
+    truth = make_true_network(scenario, SEED, "campaign")
     block = truth.draw_batch(SEED, number, width)
     found = make_calibrator(CalibrationMethod(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])

@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth, make_cell_truth
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork, make_true_network
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.geometry.rigid import align_with_scale
@@ -29,7 +29,7 @@ def scenario_of(name: str, case: dict[str, str]) -> Scenario:
     return plain.model_copy(update={"effects": tuple(effects)})
 
 
-def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
+def errors_of(truth: TrueNetwork, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
     """Errors (BLOCK, k) [SI] of the results of one block of measured and calibrated workshops.
 
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
@@ -49,7 +49,7 @@ Names = list[tuple[str, str, str, float]]
 """Task, result, unit and its factor of each result."""
 
 
-def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
+def predicted(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
     """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
     told = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
@@ -84,7 +84,7 @@ def run(given: Options) -> Made:
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[Any] = []
     for case in config["cases"]:
-        truth = make_cell_truth(scenario_of(config["scenario"], case), seed)
+        truth = make_true_network(scenario_of(config["scenario"], case), seed)
         linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
         work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, TRIALS_PER_STREAM)]
         errors = np.concatenate([*run_parallel(errors_of, work, given.jobs)])[:trials]

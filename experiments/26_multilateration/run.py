@@ -6,7 +6,8 @@ from experiments.common import Made, Options, campaign, show_table
 def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     shown = {
-        s.cell: {"mean_um": s.mean, "low_um": s.low, "high_um": s.high} for s in results.distribution("target_error_um")
+        s.cell: {"mean_um": s.mean, "low_um": s.low, "high_um": s.high}
+        for s in results.statistic_summaries("target_error_um")
     }
     cells = [{"way": own["title"], "constants": "drawn" if own["draw"] else "none"} for own in results.levels]
     show_table(given.out / "multilateration.csv", [cell | shown[k] for k, cell in enumerate(cells)])

@@ -18,7 +18,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
@@ -84,7 +84,7 @@ class Observer:
             rows = self.space.whitened_design(instance.cause) * instance.cause.plausible_sizes
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
-            visible = values > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
+            visible = values > NORMAL_EQUATIONS_TOLERANCE * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
             found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
         return found
 

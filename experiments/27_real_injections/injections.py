@@ -15,7 +15,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.simulation.inject import RecordingWithInjection
+from ltsim.simulation.injector import RecordingWithInjection
 
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from ltsim.core.results import Table, columns_of
+from ltsim.core.results import Table, model_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, ResultFile
 from ltsim.recordings.specification import Specification
@@ -84,7 +84,7 @@ class TestGroupSummary(Entry):
 TESTS_TABLE = Table(
     "accept.csv",
     "errors and limits of the acceptance tests",
-    columns_of(
+    model_columns(
         TestOutcome,
         name={"name": "test"},
         limit_um={"csv_format": ".6g", "display_format": ".1f"},
@@ -99,7 +99,7 @@ TESTS_TABLE = Table(
 TEST_GROUPS_TABLE = Table(
     "groups.csv",
     "summary of the tests of each group",
-    columns_of(
+    model_columns(
         TestGroupSummary,
         name={"name": "group"},
         n_tests={"name": "tests"},

@@ -23,7 +23,7 @@ from ltsim.adjustment.identification.recommendations import recommendations_for_
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.verbs import calibrate
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
@@ -104,7 +104,7 @@ class NetworkTests:
     def _outlier_pointings_text(self) -> str:
         """List of the pointings with outliers: station, target and row; pointings after the third are only counted."""
         names = (f"{t.where.stations[0]} to {t.where.targets[0]} (row {t.rows[0]})" for t in self.outliers)
-        return listing(list(dict.fromkeys(names)), 3)
+        return names_text(list(dict.fromkeys(names)), 3)
 
     @property
     def urgent_actions(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, as_input_error, unknown_name_error
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import construction_of_beam_origin
 from ltsim.recordings import read
@@ -262,7 +262,7 @@ def _next_actions(
         how = "Use a better reference or more readings" if network_tests is None else "Measure more rounds"
         actions.append(f"{how}: {_sufficient_uncertainty_text(undecided)}.")
     if unmeasured_tests:
-        actions.append(f"Measure the other tests of the plan: {listing(list(unmeasured_tests), 3)}.")
+        actions.append(f"Measure the other tests of the plan: {names_text(list(unmeasured_tests), 3)}.")
     return tuple(actions)
 
 
@@ -271,7 +271,7 @@ def _actions_after_rejection(rejected_outcomes: Sequence[TestOutcome]) -> tuple[
     worst = _worst_outcome_with_judgement(rejected_outcomes, "rejected")
     excess = f"{abs(worst.error_um) - (worst.expanded_uncertainty_um or 0.0) - worst.limit_um:.1f} um"
     if len(rejected_outcomes) > 1:
-        names = listing([t.name for t in rejected_outcomes], 3)
+        names = names_text([t.name for t in rejected_outcomes], 3)
         return (f"Have the maker adjust the tracker, and repeat all tests: {names} exceed their limits.",)
     return (
         f"Repeat {worst.name}: it stays rejected unless its error is smaller by {excess} or more.",

@@ -13,7 +13,7 @@ from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_CLEAR_SIGMAS, MIN_MISFIT_RATIO
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
 from ltsim.recordings.recording import Recording
@@ -105,7 +105,7 @@ def _axes_point_test(
     this test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
-    is_checked = share > MAX_SOLUTION_ROUNDING_ERROR
+    is_checked = share > NORMAL_EQUATIONS_TOLERANCE
     turned, share = turned[:, is_checked], share[is_checked]
     redundancy = share if is_used else np.ones(len(share))
     square, dof, level = scatter_dof_and_level

@@ -30,7 +30,7 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
@@ -266,7 +266,7 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     if offsets is None:
         return
     rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
-    if np.any(np.abs(rotated) > MAX_SOLUTION_ROUNDING_ERROR * np.abs(offsets).max()):
+    if np.any(np.abs(rotated) > NORMAL_EQUATIONS_TOLERANCE * np.abs(offsets).max()):
         raise NetworkError(
             "the centres of SMRs with different radii lie at different heights over their nests, along the normals of "
             "the nests; no observation fixes the rotation of the network, so the directions of the normals are "
@@ -305,7 +305,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
         )
     state, turned = move_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
-    if turned > MAX_ROUNDING_ERROR:  # the factorisation belongs to the frame before the rotation
+    if turned > SQRT_MACHINE_EPSILON:  # the factorisation belongs to the frame before the rotation
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
     datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)

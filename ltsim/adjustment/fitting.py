@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rotation_about_z
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
@@ -142,7 +142,7 @@ def _iterate_best_starts(
         for _ in range(MAX_ITERATIONS):
             start_positions, rotation, gap, by = here
             normal = np.nan_to_num(np.swapaxes(by, 1, 2) @ by, posinf=0.0)
-            weight = np.maximum(damping, MAX_ROUNDING_ERROR)[:, None] * np.einsum("bii->bi", normal) + 1e-9
+            weight = np.maximum(damping, SQRT_MACHINE_EPSILON)[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
             step[:, is_free_unknown] = np.linalg.solve(lifted, right[..., None])[..., 0]
@@ -328,13 +328,13 @@ def lines_of_undetermined_length(
     if (
         not len(along)
         or not is_oriented.all()
-        or size[-1] >= MAX_SOLUTION_ROUNDING_ERROR * size[0]
-        or size[-2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]
+        or size[-1] >= NORMAL_EQUATIONS_TOLERANCE * size[0]
+        or size[-2] < NORMAL_EQUATIONS_TOLERANCE * size[0]
     ):
         return []
     motion = np.concatenate([np.zeros((1, 2)), right[-1].reshape(-1, 2)])
     moves = np.linalg.norm(motion[second] - motion[first], axis=1)
-    loose_indices = np.flatnonzero(moves > MAX_SOLUTION_ROUNDING_ERROR * moves.max())
+    loose_indices = np.flatnonzero(moves > NORMAL_EQUATIONS_TOLERANCE * moves.max())
     ends = {
         (min(pair), max(pair))
         for pair in zip(used[first[loose_indices]].tolist(), used[second[loose_indices]].tolist(), strict=True)
@@ -372,7 +372,7 @@ def _complex_xy_coordinates(
     right_side = np.zeros(len(design))
     right_side[len(bearings) : len(bearings) + len(length_rows)] = lengths
     u, size, rows = np.linalg.svd(design, full_matrices=False)
-    if size[-1 if len(length_rows) else -2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]:
+    if size[-1 if len(length_rows) else -2] < NORMAL_EQUATIONS_TOLERANCE * size[0]:
         return None
     plan = rows.T @ ((u.T @ right_side) / size) if len(length_rows) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])

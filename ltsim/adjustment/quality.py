@@ -21,7 +21,7 @@ from ltsim.adjustment.significance import (
 from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.notation import MAX_LISTED_SENTENCES, listing
+from ltsim.core.notation import MAX_LISTED_SENTENCES, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
@@ -227,7 +227,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     )
     if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_MISCLOSURE * extent):
         return
-    names = listing([adjustment.recording.stations[s] for s in planned_indices])
+    names = names_text([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
         yield (
             f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
@@ -254,7 +254,7 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
         names = [recording.targets[t] for t in np.flatnonzero(is_paired & (used_pairs.sum(axis=0) == stations))]
         if names:
             contradiction = "the positions from two stations differ, and the readings do not show which one is right"
-            yield f"{listing(names)}: {contradiction}; {end}"
+            yield f"{names_text(names)}: {contradiction}; {end}"
 
 
 def _blunder_sentences(adjustment: Adjustment) -> Iterator[str]:
@@ -311,13 +311,13 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.undetermined_stations:
         yield (
             "the readings in use do not determine the full pose of station "
-            f"{listing(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
+            f"{names_text(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
         )
     bend = np.nan_to_num(pose_curvatures(adjustment)) if adjustment.solution.has_converged else np.zeros(0)
     curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_POSE_CURVATURE)]
     if curved_stations:
         yield (
-            f"the targets of station {listing(curved_stations)} "
+            f"the targets of station {names_text(curved_stations)} "
             "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
             f"(curvature {bend.max():.2g}, trustworthy below {MAX_POSE_CURVATURE:g}): "
             "add targets far apart and not on one line"

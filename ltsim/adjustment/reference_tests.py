@@ -19,7 +19,7 @@ from ltsim.adjustment.reliability import noise_factor, noncentrality
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CLEAR_SIGMAS
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
@@ -221,7 +221,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
     components, `residual_inner_products` (q,) the inner products of these changes with the residuals.
     """
     norms = np.linalg.norm(value.design_columns, axis=0)
-    is_active = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
+    is_active = norms > SQRT_MACHINE_EPSILON * norms.max()  # readings in plan do not depend on heights
     norms = np.where(is_active, norms, np.inf)
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
@@ -227,7 +227,7 @@ def _damped_step(
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, linearised_constants, share * changes)
         tried = adjust_function(effects=moved, start_state=last_adjustment.state)
-        if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + MAX_SOLUTION_ROUNDING_ERROR):
+        if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + NORMAL_EQUATIONS_TOLERANCE):
             return moved, tried
     return None
 

@@ -16,7 +16,7 @@ from ltsim.adjustment.significance import (
 )
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import BlockFactor
@@ -44,7 +44,7 @@ def normalise_residuals(problem: NetworkProblem, residuals: Floats, redundancy: 
     The standard deviation of a residual is that of its reading times the square root of its redundancy number
     (`redundancy` (n, 3)). The result is 0 for readings that no other observation checks, and NaN for unused readings.
     """
-    is_checked = problem.is_used_reading & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
+    is_checked = problem.is_used_reading & (redundancy > NORMAL_EQUATIONS_TOLERANCE)
     w = np.where(problem.is_used_reading, 0.0, np.nan)
     w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
@@ -135,10 +135,10 @@ def iterative_snooping(
     tested readings, `alpha` the false-alarm rate of all tests together.
     """
     outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(redundancy_matrix).copy()
-    while (redundancy > MAX_SOLUTION_ROUNDING_ERROR).any():
+    while (redundancy > NORMAL_EQUATIONS_TOLERANCE).any():
         w = np.where(
-            redundancy > MAX_SOLUTION_ROUNDING_ERROR,
-            residuals / np.sqrt(np.maximum(redundancy, MAX_SOLUTION_ROUNDING_ERROR)),
+            redundancy > NORMAL_EQUATIONS_TOLERANCE,
+            residuals / np.sqrt(np.maximum(redundancy, NORMAL_EQUATIONS_TOLERANCE)),
             0.0,
         )
         chance, k = (
@@ -150,7 +150,7 @@ def iterative_snooping(
         is_equivalent = (
             redundancy_matrix[k] ** 2
             > MIN_EQUIVALENT_SQUARED_CORRELATION * redundancy_matrix[k, k] * np.diag(redundancy_matrix)
-        ) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
+        ) & (redundancy > NORMAL_EQUATIONS_TOLERANCE)
         equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < alpha)).tolist() if i != k]
         outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
         residuals, redundancy_matrix = (
@@ -158,7 +158,7 @@ def iterative_snooping(
             redundancy_matrix - np.outer(redundancy_matrix[k], redundancy_matrix[k]) / redundancy[k],
         )
         redundancy = np.where(
-            is_equivalent | (redundancy <= MAX_SOLUTION_ROUNDING_ERROR), 0.0, np.diag(redundancy_matrix)
+            is_equivalent | (redundancy <= NORMAL_EQUATIONS_TOLERANCE), 0.0, np.diag(redundancy_matrix)
         )
     return outliers
 

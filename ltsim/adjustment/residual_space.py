@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import ResidualProjector, make_residual_projector
@@ -198,6 +198,6 @@ def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
-    is_visible = strength > MAX_SOLUTION_ROUNDING_ERROR
+    is_visible = strength > NORMAL_EQUATIONS_TOLERANCE
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))
     return basis

@@ -25,7 +25,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import iterate_reweighted
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.model.construction import ideal_construction
@@ -373,7 +373,7 @@ def _is_rejected_in_repeated_test(
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
     w, scale, redundancy = _normalised_residuals_and_noise(problem, reduced_problem, readings, solution.factor)
-    new: Bools = (w > limit * scale) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
+    new: Bools = (w > limit * scale) & (redundancy > NORMAL_EQUATIONS_TOLERANCE)
     if new.any():
         new &= w > 0.5 * w.max()
     if prediction is not None:

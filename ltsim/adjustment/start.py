@@ -18,7 +18,7 @@ from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_wit
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
@@ -384,7 +384,7 @@ class NetworkInitialiser:
     def undetermined_lines_text(self) -> str:
         """Text on the lines whose horizontal length no reading determines; empty if there are none."""
         ends = [*self._recording.targets, *self._recording.stations]
-        lines = listing([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
+        lines = names_text([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:

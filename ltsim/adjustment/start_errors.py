@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.adjustment.frame import are_collinear
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.recordings.recording import Recording
 
 
@@ -22,7 +22,7 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     """
     if is_joined.all():
         return
-    lost = listing([recording.stations[s] for s in np.flatnonzero(~is_joined)])
+    lost = names_text([recording.stations[s] for s in np.flatnonzero(~is_joined)])
     n_targets = len(points)
     if n_targets >= 3 and are_collinear(points):
         what = f"the {n_targets} targets that it shares with the network lie on one line"

@@ -10,7 +10,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.stochastic_model import noise_declaration_texts
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
@@ -203,8 +203,8 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
             advice += noise_declaration_texts(recording, observable, float(factor))
         else:
             by_row.append(f"the noise of {observable} by {factor:.2g}")
-    sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]
-    sentences.append(f"Multiply {listing(by_row, len(by_row))}." if by_row else "")
+    sentences = [f"Set {names_text(advice, len(advice))} in [instrument.noise]." if advice else ""]
+    sentences.append(f"Multiply {names_text(by_row, len(by_row))}." if by_row else "")
     return " ".join(filter(None, sentences))
 
 

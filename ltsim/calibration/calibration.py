@@ -41,7 +41,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import p_relation_text, two_sided_p_value
 from ltsim.core.results import Table
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -359,7 +359,7 @@ def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tup
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
             value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
-            differs = abs(applied_values[i, k] - value) > MAX_ROUNDING_ERROR * max(abs(value), sigma)
+            differs = abs(applied_values[i, k] - value) > SQRT_MACHINE_EPSILON * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
                 value=float(value / factor),

@@ -26,7 +26,7 @@ from ltsim.adjustment.remedies.undetermined import MIN_DETERMINED_GAIN, Paramete
 from ltsim.calibration.objective import DistanceProblem, PairDistances, compared_distance_indices, mean_removal_matrix
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 from ltsim.solve.least_absolute import solve_least_absolute
 
@@ -140,7 +140,7 @@ def solve_determined_combinations(
     _require_distance_comparisons(deviation_rows, np.ones_like(free))
     estimated, undetermined = determined_and_undetermined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
-    while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
+    while iterations < MAX_ITERATIONS and not moved < SQRT_MACHINE_EPSILON:
         iterations += 1
         deviation_rows = distance_comparisons_at(problem, unknowns, norm)
         step = estimated @ _unbounded_step(
@@ -149,7 +149,7 @@ def solve_determined_combinations(
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
     return _make_estimate(
-        deviation_rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR
+        deviation_rows, norm, (unknowns, estimated, undetermined), iterations, moved < SQRT_MACHINE_EPSILON
     )
 
 
@@ -178,7 +178,7 @@ def solve_all_combinations(
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows, iterations, moved = distance_comparisons_at(problem, unknowns, norm), 0, np.inf
     _require_distance_comparisons(rows, free)
-    while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
+    while iterations < MAX_ITERATIONS and not moved < SQRT_MACHINE_EPSILON:
         iterations += 1
         step = np.zeros(len(unknowns))
         step[free] = _bounded_step(rows, unknowns[free], free, norm, bound_in_prior_sigmas)
@@ -186,7 +186,7 @@ def solve_all_combinations(
         moved = min(float(np.max(np.abs(step))), fallen)
     visible, invisible = _split_observable_combinations(rows, free)
     combinations = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
-    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < MAX_ROUNDING_ERROR)
+    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < SQRT_MACHINE_EPSILON)
 
 
 def _start_values(
@@ -273,7 +273,7 @@ def _split_observable_combinations(comparisons: DistanceComparisons, is_free_unk
     _, strength, right_vectors = np.linalg.svd(comparisons.unknown_derivatives[:, is_free_unknown], full_matrices=False)
     vectors = np.zeros((len(is_free_unknown), len(right_vectors)))
     vectors[is_free_unknown] = right_vectors.T
-    nonzero = strength > MAX_ROUNDING_ERROR * strength[0]
+    nonzero = strength > SQRT_MACHINE_EPSILON * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
 

@@ -16,7 +16,7 @@ from scipy import special
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_TEST = 3
@@ -159,7 +159,7 @@ def _variance_by_moments(difference: Floats, sigma: Floats, relative_variances: 
         return 0.0
     variance_upper_bound = float(np.sum(difference**2))
     while excess(variance_upper_bound) > 0:  # steps without time between them have no growing variance
-        if MAX_SOLUTION_ROUNDING_ERROR * variance_upper_bound > float(np.sum(difference**2)):
+        if NORMAL_EQUATIONS_TOLERANCE * variance_upper_bound > float(np.sum(difference**2)):
             return variance_upper_bound  # no finite variance gives the expected chi-square
         variance_upper_bound *= 10.0
-    return float(brentq(excess, 0.0, variance_upper_bound, rtol=MAX_SOLUTION_ROUNDING_ERROR))
+    return float(brentq(excess, 0.0, variance_upper_bound, rtol=NORMAL_EQUATIONS_TOLERANCE))

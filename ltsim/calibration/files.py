@@ -9,7 +9,7 @@ from ltsim.calibration.reported_uncertainty import target_covariance_csv_text
 from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, unknown_name_error
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import read_text, safe_excerpt
@@ -105,4 +105,4 @@ def _missing_parameters_warnings(names: list[str], file: Path) -> tuple[str, ...
     if not names:
         return ()
     phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
-    return (f"{file}: {phrase} not in the file and taken as zero: {listing(names)}",)
+    return (f"{file}: {phrase} not in the file and taken as zero: {names_text(names)}",)

@@ -11,9 +11,9 @@ from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry,
 from ltsim.calibration.events import EventEntry, significant_steps
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.probability import p_relation_text
-from ltsim.core.results import Column, ColumnValues, Table, columns_of, text_columns
+from ltsim.core.results import Column, ColumnValues, Table, model_columns, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
@@ -83,7 +83,7 @@ CALIBRATION_FITS_TABLE = Table(
 EVENTS_TABLE = Table(
     "events.csv",
     "changes of parameters between successive calibrations that are outliers among the changes of the same parameter",
-    columns_of(
+    model_columns(
         EventEntry,
         "from_ to name difference sigma usual_step_sigma unit p_value",
         from_={"name": "from"},
@@ -190,7 +190,7 @@ class History(ResultFile):
             [
                 c.from_,
                 c.to,
-                listing(c.changed_parameters) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
+                names_text(c.changed_parameters) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,

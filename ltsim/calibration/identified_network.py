@@ -22,7 +22,7 @@ from ltsim.calibration import result
 from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING
 from ltsim.calibration.reported_uncertainty import uncertainty_factor
 from ltsim.core.errors import ConvergenceError, NetworkError
-from ltsim.core.notation import listing, number_text
+from ltsim.core.notation import names_text, number_text
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
@@ -97,7 +97,7 @@ class IdentifiedNetwork:
         faults = corrected_faults(self.tests)
         warnings = [test.sentence for test in faults if test.sentence]
         if moved := [name for test in faults if test.kind == "target-moved" for name in test.where.targets]:
-            warnings.append(f"The coordinates of {listing(moved)} refer to the time before the motion.")
+            warnings.append(f"The coordinates of {names_text(moved)} refer to the time before the motion.")
         if self.uncertainty_factor > 1.0:
             warnings.append(
                 f"The readings contradict the model: all standard deviations are multiplied by sigma0 = "

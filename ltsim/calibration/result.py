@@ -29,7 +29,7 @@ from ltsim.calibration.schema import (
 )
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing, with_sigma
+from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
@@ -246,7 +246,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
         sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
-    return (f"{sentence}; excluded from the datum: {listing(out)}" if out else sentence,)
+    return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
 
 
 def frame_text(adjustment: Adjustment) -> str:
@@ -265,20 +265,22 @@ def frame_text(adjustment: Adjustment) -> str:
     control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.point_indices]
     levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
     turned = [recording.stations[i] for i in problem.yaw_rows.station_indices]
-    zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []
+    zeros = [f"the azimuth zero of {names_text(turned)}"] if turned else []
     zeros += (
-        [f"the known differences {listing(problem.difference_rows.names)}"] if problem.difference_rows.names else []
+        [f"the known differences {names_text(problem.difference_rows.names)}"] if problem.difference_rows.names else []
     )
-    points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
+    points = [f"the control point{'s' if len(control) > 1 else ''} {names_text(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
     definition = f"is {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
-        definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
+        definition += f", standard deviations by inner constraints over {names_text(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.is_height_undetermined_target.all()):
         return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
-        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
+        return (
+            f"{', x '.join([f'z is defined by the levels of {names_text(levelled)}', *zeros])}; the rest {definition}"
+        )
     levels = ["the levels"] if levelled else []
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
 
@@ -364,7 +366,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)]
-    return (f"no reading determines the height of {listing(names)}: adjusted in plan only",) if names else ()
+    return (f"no reading determines the height of {names_text(names)}: adjusted in plan only",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -10,18 +10,9 @@ from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.probability import p_relation_text
-from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
+from ltsim.core.results import Column, Table, model_columns, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.recordings.result_file import (
-    Entry,
-    Finite,
-    NotNegative,
-    OptionalFloat,
-    Positive,
-    Quaternion,
-    Sigma,
-    Vector,
-)
+from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, Positive, Quaternion, Sigma, Vector
 
 OBSERVABLE_DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Name and SI value of the display unit of range, azimuth and elevation."""
@@ -356,7 +347,7 @@ class ReflectorEntry(Entry):
 PARAMETERS_TABLE = Table(
     "parameters.csv",
     "estimates of the instrument's parameters, each in its unit",
-    columns_of(
+    model_columns(
         ParameterEntry,
         "name instrument value sigma unit prior_sigma held applied_value",
         value={"sigma_column": "sigma"},
@@ -365,13 +356,15 @@ PARAMETERS_TABLE = Table(
     ),
 )
 REFERENCE_VALUES_TABLE = Table(
-    "reference_values.csv", "reference values, each tested by the other observations", columns_of(ReferenceValueEntry)
+    "reference_values.csv",
+    "reference values, each tested by the other observations",
+    model_columns(ReferenceValueEntry),
 )
-OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
+OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", model_columns(OutlierRow))
 NOISE_TABLE = Table(
     "noise.csv",
     "noise estimated from the readings",
-    columns_of(
+    model_columns(
         NoiseRow,
         factor={"sigma_column": "factor_sigma"},
         redundancy={"display_format": ".1f"},

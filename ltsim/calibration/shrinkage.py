@@ -29,7 +29,7 @@ from ltsim.calibration.evidence import cosine_sine_pairs
 from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, informative_parameter_mask, sigma0_of_readings
 from ltsim.calibration.schema import RecommendedCorrection
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects import parameter_text
@@ -102,7 +102,7 @@ def recommend_correction(
     unapplied_parameters = tuple(parameter_names[k] for k in dropped_terms)
     notes = [n for n in (evidence.scale_sentence, note) if n]
     if unapplied_parameters:
-        words, plural = listing(list(map(parameter_text, unapplied_parameters))), len(unapplied_parameters) > 1
+        words, plural = names_text(list(map(parameter_text, unapplied_parameters))), len(unapplied_parameters) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     applied_values = mean * held

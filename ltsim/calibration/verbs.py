@@ -253,10 +253,10 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     --------
     >>> import ltsim as lt
     >>> from pathlib import Path
-    >>> from ltsim.simulation.truth import nominal_csv
+    >>> from ltsim.simulation.truth import nominal_points_csv
     >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
     >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
-    >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))
+    >>> _ = Path("cmm.csv").write_text(nominal_points_csv(truth))
     >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """

@@ -26,9 +26,9 @@ from ltsim.solve.design import to_dense
 
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
-MIN_STEP_CONTRACTION_RATIO = 1e-3
-"""Smallest assumed ratio of the distances to the optimum after and before a step; a larger ratio is estimated from the
-last two steps."""
+MIN_ASSUMED_CONVERGENCE_RATE = 1e-3
+"""Smallest assumed convergence rate: ratio of the distances to the optimum after and before a step. A larger ratio is
+estimated from the last two steps."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,15 @@ class BatchNetwork(NominalNetwork):
         )
 
     @cached_property
-    def _expected_reading_change(self) -> Floats | None:
+    def _bench_tested_reflector_change(self) -> Floats | None:
         """Expected change (pointings, 3, 1) of readings by bench-tested reflectors; None without such reflectors."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
             return None
-        return self.model.change_by_extra_parameters(self._floor_plan_sightings, self.nominal_state.extra_parameters)[
-            :, :, None
-        ]
+        return self.model.change_by_extra_parameters(
+            self._sightings_in_floor_plan_frame, self.nominal_state.extra_parameters
+        )[:, :, None]
 
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
         """Adjusted network of each trial.
@@ -69,8 +69,8 @@ class BatchNetwork(NominalNetwork):
         `reading_deviations` (pointings, 3, trials) are readings minus nominal readings, `length_errors` (lengths,
         trials) [m] are declared minus true reference lengths.
         """
-        if self._expected_reading_change is not None:
-            reading_deviations = reading_deviations - self._expected_reading_change
+        if self._bench_tested_reflector_change is not None:
+            reading_deviations = reading_deviations - self._bench_tested_reflector_change
         x, predicted = self._first_step(reading_deviations, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
@@ -79,7 +79,7 @@ class BatchNetwork(NominalNetwork):
             step = self.gauss_newton_step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            remainder = np.sqrt(squared) * np.maximum(MIN_STEP_CONTRACTION_RATIO, np.sqrt(squared / last_costs))
+            remainder = np.sqrt(squared) * np.maximum(MIN_ASSUMED_CONVERGENCE_RATE, np.sqrt(squared / last_costs))
             if not np.any(remainder >= MAX_DISTANCE_TO_OPTIMUM):
                 break
             last_costs = squared

@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.results import Result, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
@@ -25,7 +25,7 @@ MAX_EQUAL_READING_DIFFERENCE = 1e-6
 """Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
 noise of two recordings a larger one.
 """
-NEW_POINT_ERRORS_TABLE = Table(
+HELD_OUT_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",
     (
@@ -42,7 +42,7 @@ NEW_POINT_ERRORS_TABLE = Table(
 
 
 @dataclass(frozen=True, repr=False)
-class NewPointErrors(Result):
+class HeldOutPointErrors(Result):
     """Errors at new points after each of several calibrations of one recording."""
 
     errors: Mapping[str, CalibrationErrors]
@@ -55,7 +55,7 @@ class NewPointErrors(Result):
         return [f"Error of a new point: uncorrected {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.with_rows(self._rows())}
+        return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():
@@ -81,7 +81,7 @@ def compare_calibrations(
     uses_applied_corrections: bool = False,
     seed: int = 0,
     trial: int = 0,
-) -> NewPointErrors:
+) -> HeldOutPointErrors:
     """Comparison of calibrations of one simulated recording at points that were not used for calibration.
 
     The same instruments with the same errors measure these points with independent noise, and each calibration corrects
@@ -155,6 +155,6 @@ def compare_calibrations(
         name: measured_points(correct(recording, calibration, allow_repeated=True, allow_rejected=True))
         for name, calibration in calibration_by_name.items()
     }
-    return NewPointErrors(
+    return HeldOutPointErrors(
         {name: CalibrationErrors(raw_errors, error(points), floor) for name, points in corrected_by_name.items()}
     )

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
@@ -28,10 +28,10 @@ from ltsim.campaigns.trial_calibrators import (
     CalibratedBatch,
     SerialCalibrator,
     TrialCalibrator,
-    suspect_trial_mask,
+    possible_gross_error_mask,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.effect import Effect
@@ -50,47 +50,47 @@ def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
-def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
-    """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
-    if method.method != "network" and not truth.is_recorded_observable.all():
+def make_calibrator(method: CalibrationMethod, true_network: TrueNetwork) -> TrialCalibrator:
+    """Calibrator for a method of a campaign file, for trials in the network geometry `true_network`."""
+    if method.method != "network" and not true_network.is_recorded_observable.all():
         raise InputError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
         return SerialCalibrator(
-            truth, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
+            true_network, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
         )
     if method.method != "network":
-        return BatchDistance(truth, built, method=method.method)
-    return BatchCalibrator(truth, built, effects)
+        return BatchDistanceCalibrator(true_network, built, method=method.method)
+    return BatchCalibrator(true_network, built, effects)
 
 
 @dataclass(frozen=True)
-class GeometryStack(CellTruth):
+class GeometryStack(TrueNetwork):
     """True network geometries of trials with the same pointings; the last index of their arrays is the trial."""
 
-    truths: tuple[CellTruth, ...] = ()
+    true_networks: tuple[TrueNetwork, ...] = ()
     """True network geometry of each trial. Quantities that all trials share are taken from the first trial."""
     recording_row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
     """Row index, in the recording of each trial, of each pointing of the first trial, (pointings, trials). The
     recordings of the trials may list the pointings in different orders."""
 
     @classmethod
-    def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
+    def from_true_networks(cls, true_networks: tuple[TrueNetwork, ...]) -> Self:
         """Stack of the true network geometries of trials with the same pointings."""
-        first_truth = truths[0]
-        shared_fields = {f.name: getattr(first_truth, f.name) for f in fields(CellTruth) if f.name != "state"}
-        states = [truth.state for truth in truths]
+        first_network = true_networks[0]
+        shared_fields = {f.name: getattr(first_network, f.name) for f in fields(TrueNetwork) if f.name != "state"}
+        states = [true_network.state for true_network in true_networks]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
             for name in ("station_positions", "station_rotations", "target_points")
         )
-        order = [np.argsort(_pointing_keys(truth)) for truth in truths]
-        row_order = np.empty((len(order[0]), len(truths)), dtype=np.int64)
+        order = [np.argsort(_pointing_keys(true_network)) for true_network in true_networks]
+        row_order = np.empty((len(order[0]), len(true_networks)), dtype=np.int64)
         row_order[order[0]] = np.stack(order, axis=1)
         return cls(
             **shared_fields,
-            state=NetworkState(position, rotation, points, first_truth.state.instrument_parameters),
-            truths=truths,
+            state=NetworkState(position, rotation, points, first_network.state.instrument_parameters),
+            true_networks=true_networks,
             recording_row_of_pointing=row_order,
         )
 
@@ -109,20 +109,20 @@ class GeometryStack(CellTruth):
     @cached_property
     def nominal_readings(self) -> Floats:
         """Nominal readings of all trials, (pointings, 3, trials) [m, rad, rad]."""
-        return self.stack_arrays(truth.recording.readings for truth in self.truths)
+        return self.stack_arrays(true_network.recording.readings for true_network in self.true_networks)
 
     @cached_property
     def local_points(self) -> Floats:
         """Targets in the instruments' frames, (pointings, 3, trials) [m]."""
-        return self.stack_arrays(truth.sightings.local_points for truth in self.truths)
+        return self.stack_arrays(true_network.sightings.local_points for true_network in self.true_networks)
 
     @cached_property
     def reading_derivatives(self) -> Floats:
         """Derivative (pointings, 3, 3, trials) of an ideal tracker's readings by targets in instrument frames."""
-        return self.stack_arrays(truth.sightings.local_derivatives for truth in self.truths)
+        return self.stack_arrays(true_network.sightings.local_derivatives for true_network in self.true_networks)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
-        return self.stack_arrays(truth.effect_design(effects)[..., 0] for truth in self.truths)
+        return self.stack_arrays(true_network.effect_design(effects)[..., 0] for true_network in self.true_networks)
 
     def _compute_kinematic_chain_and_reading_derivatives(
         self, construction: GeometricErrorModel
@@ -135,7 +135,7 @@ class GeometryStack(CellTruth):
         by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.recording_row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
         return ChainProgram.from_construction(construction, flattened).with_trial_axis(
-            len(self.truths)
+            len(self.true_networks)
         ), np.ascontiguousarray(by_trial)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
@@ -152,45 +152,47 @@ class GeometryStack(CellTruth):
         """Batch of the trials `trial_numbers`, one for each geometry of the stack, with their random values."""
         sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
-            truth.distributions.draw(numbers_of_trial)
-            for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
+            true_network.distributions.draw(numbers_of_trial)
+            for true_network, numbers_of_trial in zip(self.true_networks, sources, strict=True)
         ]
         instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact_deviations(instrument_values)
-        single_trials = tuple(
-            truth.batch_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
-            for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
+        single_trial_batches = tuple(
+            true_network.batch_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
+            for k, (true_network, draw) in enumerate(zip(self.true_networks, draws, strict=True))
         )
         effect_values = tuple(
             np.concatenate(parts, axis=1)
-            for parts in zip(*(batch.effect_values for batch in single_trials), strict=True)
+            for parts in zip(*(batch.effect_values for batch in single_trial_batches), strict=True)
         )
-        length_errors = np.concatenate([batch.length_errors for batch in single_trials], axis=1)
-        deviation = self.stack_arrays(batch.reading_deviations[:, :, 0] for batch in single_trials)
-        return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
+        length_errors = np.concatenate([batch.length_errors for batch in single_trial_batches], axis=1)
+        deviation = self.stack_arrays(batch.reading_deviations[:, :, 0] for batch in single_trial_batches)
+        return TrialBatch(
+            trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trial_batches
+        )
 
 
-def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
+def stack_geometries(true_networks: dict[int, TrueNetwork]) -> Iterator[tuple[GeometryStack, Ints]]:
     """Stacks of the trials whose stations see the same targets, each stack with the numbers of its trials.
 
-    `truths` holds the true network geometry of each trial by number. A trial with an incomplete pointing forms a stack
-    of one trial.
+    `true_networks` holds the true network geometry of each trial by number. A trial with an incomplete pointing forms a
+    stack of one trial.
     """
     trials_by_pattern: dict[tuple[object, ...], list[int]] = {}
-    for number, truth in truths.items():
-        judge = TrialEvaluator(truth)
-        names = truth.recording.stations, truth.recording.targets
-        whole = truth.recording.is_measured.all(axis=0).all()
-        pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
-        key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
+    for number, true_network in true_networks.items():
+        evaluator = TrialEvaluator(true_network)
+        names = true_network.recording.stations, true_network.recording.targets
+        is_complete = true_network.recording.is_measured.all(axis=0).all()
+        pattern = np.sort(_pointing_keys(true_network)).tobytes() if is_complete else number
+        key = (*names, pattern, evaluator.has_criteria, evaluator.is_frame_determined.tobytes())
         trials_by_pattern.setdefault(key, []).append(number)
     for numbers in trials_by_pattern.values():
-        yield GeometryStack.from_truths(tuple(truths[number] for number in numbers)), np.array(numbers)
+        yield GeometryStack.from_true_networks(tuple(true_networks[number] for number in numbers)), np.array(numbers)
 
 
-def _pointing_keys(truth: CellTruth) -> Ints:
+def _pointing_keys(true_network: TrueNetwork) -> Ints:
     """Integer key of each pointing, (pointings,), from its repeat, station, face and target."""
-    r = truth.recording
+    r = true_network.recording
     return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
 
 
@@ -202,7 +204,7 @@ class StackCalibrator(TrialCalibrator):
     are the trials of all other methods.
     """
 
-    truth: GeometryStack
+    true_network: GeometryStack
     """True network geometries of the trials."""
     requested_method: CalibrationMethod = field(default_factory=CalibrationMethod)
     """Calibration method of the campaign file."""
@@ -210,24 +212,24 @@ class StackCalibrator(TrialCalibrator):
     @classmethod
     def for_stack(cls, method: CalibrationMethod, stack: GeometryStack) -> Self:
         """Calibrator of a stack by a method of the campaign file."""
-        first_calibrator = make_calibrator(method, stack.truths[0])
+        first_calibrator = make_calibrator(method, stack.true_networks[0])
         return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
 
     def single_trial_calibrator(self, trial: int) -> TrialCalibrator:
         """Calibrator for the single trial with the index `trial` in the stack."""
-        return make_calibrator(self.requested_method, self.truth.truths[trial])
+        return make_calibrator(self.requested_method, self.true_network.true_networks[trial])
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Estimates of the trials of a batch; a trial with undetermined parameters has the status failed."""
         calibrated = CalibratedBatch.from_failed_trials(
-            self.truth, self.construction, self.effects, len(trial_batch.single_trials)
+            self.true_network, self.construction, self.effects, len(trial_batch.single_trial_batches)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_numbers
+        remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_indices
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
-                    trial_batch.single_trials[trial], np.zeros(1, dtype=np.int64)
+                    trial_batch.single_trial_batches[trial], np.zeros(1, dtype=np.int64)
                 )
             except (NetworkError, InputError):
                 continue
@@ -239,10 +241,10 @@ class StackCalibrator(TrialCalibrator):
 
         The estimates of all other trials are written to `calibrated_batch`.
         """
-        stack, built = self.truth, self.construction
+        stack, built = self.true_network, self.construction
         program, by_value = stack.kinematic_chain_and_reading_derivatives(built)
         networks: list[BatchNetwork] = []
-        for k, truth in enumerate(stack.truths):
+        for k, true_network in enumerate(stack.true_networks):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
             shared = (
                 SharedDerivatives(networks[0], stack.reading_derivatives[..., k], by_value[..., k])
@@ -252,11 +254,11 @@ class StackCalibrator(TrialCalibrator):
             networks.append(
                 BatchNetwork(
                     recording,
-                    truth.state,
+                    true_network.state,
                     built,
                     program,
                     shared_derivatives=shared,
-                    is_adjusted_observable=truth.is_recorded_observable,
+                    is_adjusted_observable=true_network.is_recorded_observable,
                 )
             )
         network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(networks))
@@ -273,7 +275,7 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        is_doubtful = ~fit.has_converged | suspect_trial_mask(trial_batch.reading_deviations, stack.local_points)
+        is_doubtful = ~fit.has_converged | possible_gross_error_mask(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
             calibrated_batch.copy_results_of_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
@@ -288,7 +290,7 @@ class StackCalibrator(TrialCalibrator):
         )
         single_batch = CalibratedBatch(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
         return self.single_trial_calibrator(trial).largest_solver_difference(
-            trial_batch.single_trials[trial], 0, single_batch
+            trial_batch.single_trial_batches[trial], 0, single_batch
         )
 
 
@@ -330,9 +332,9 @@ class StackedNetwork(BatchNetwork):
         return np.stack([part._point_derivatives for part in self.networks], axis=-1)
 
     @cached_property
-    def _expected_reading_change(self) -> Floats | None:
+    def _bench_tested_reflector_change(self) -> Floats | None:
         """Expected change (pointings, 3, trials) of readings by bench-tested reflectors; None without such ones."""
-        shifts = [shift for part in self.networks if (shift := part._expected_reading_change) is not None]
+        shifts = [shift for part in self.networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property

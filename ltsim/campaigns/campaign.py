@@ -22,22 +22,22 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
 from ltsim.campaigns.design import Factor, cell_label
-from ltsim.campaigns.rows import ShardTask, cell_context, n_rows_of_shard, run_task
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
+from ltsim.campaigns.shard_rows import ShardTask, cell_context, n_rows_of_shard, run_task
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
     CampaignFile,
     cad_files,
     load_campaign,
-    local_file,
     make_cells,
+    path_relative_to_campaign_file,
     read_cad,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
-from ltsim.campaigns.truth import make_small_geometry
+from ltsim.campaigns.true_network import make_campaign_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
 from ltsim.core.parallel import run_parallel
@@ -82,7 +82,7 @@ class WorkerSettings:
 
 
 @dataclass(frozen=True)
-class RunResult:
+class CampaignRunResult:
     """Result of one run of a campaign: folder, numbers of shards, and notes for the user."""
 
     folder: Path
@@ -105,7 +105,7 @@ def run_campaign(
     changes: Mapping[str, Any] | None = None,
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
-) -> RunResult:
+) -> CampaignRunResult:
     """Run, continuation or extension of a campaign in `folder`, as `ltsim.campaign` but with a choice of workers.
 
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
@@ -140,11 +140,11 @@ def run_campaign(
         store.remove_unfinished_files()
         done, existing = 0, 0
         for wanted in iterate_stopping_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
-            waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
+            waiting, damaged = _pending_tasks_and_notes(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
-                for task, content in _iterate_results(waiting, chosen_workers, store):
+                for task, content in _computed_shards(waiting, chosen_workers, store):
                     store.write_shard(task.cell, task.shard, content)
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
@@ -154,7 +154,7 @@ def run_campaign(
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
         notes.append(f"{folder}: the rule [stop] made {n_reused} files of rows ({share:.0f} % of all) unnecessary")
-    return RunResult(folder, done, existing, tuple(notes))
+    return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
 def _input_files(
@@ -165,13 +165,14 @@ def _input_files(
     If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
     """
     names = (campaign.scenario, campaign.validation_points)
-    named = [path for name in names if name and (path := local_file(name, file))]
+    named = [path for name in names if name and (path := path_relative_to_campaign_file(name, file))]
     contents = {path.name: read_whole_file(path) for path in named}
     root = (named[0] if named else file).resolve().parent
     scenarios = (place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None)
     for path in cad_files(scenarios):
-        whole = path.resolve()
-        name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
+        resolved_path = path.resolve()
+        is_in_folder = resolved_path.is_relative_to(root)
+        name = resolved_path.relative_to(root).as_posix() if is_in_folder else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
@@ -188,10 +189,10 @@ def _configuration_notes(
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_input_error(f"{file}: {where}"):
-            geometry = make_small_geometry(cell.scenario, campaign.seed)
+            geometry = make_campaign_geometry(cell.scenario, campaign.seed)
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
-                make_small_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
+                make_campaign_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
     return unused_settings
 
 
@@ -314,7 +315,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
     )
 
 
-def _pending_shards(
+def _pending_tasks_and_notes(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
@@ -331,7 +332,7 @@ def _pending_shards(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
         )
         state = store.shard_status(cell, shard, task.shard_metadata, n_rows_of_shard(campaign, shard), digests)
-        if state == "whole":
+        if state == "complete":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.record_digest(cell, shard)
             progress(n_rows_of_shard(campaign, shard))
@@ -349,11 +350,12 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
     Only the first `n_shards` shards of each cell (combination of factor levels) are used.
     """
     return {
-        (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, n_shards).distribution(statistic)
+        (s.cell, s.method): 0.5 * (s.high - s.low)
+        for s in CampaignStatistics(folder, n_shards).statistic_summaries(statistic)
     }
 
 
-def _iterate_results(
+def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
     """Pairs of a task and the bytes of its shard's file, in the order of completion.

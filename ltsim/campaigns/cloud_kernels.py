@@ -17,7 +17,7 @@ MICROMETRES_PER_METRE = 1e6
 
 
 @compile_function
-def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
+def add_weighted_points(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
     """Addition of measured points (pointings, 3, trials), times weights (pointings,), to point clouds, in place.
 
     `clouds` (stations, targets, 3, trials) has the mean point of each station (or other set of pointings) on each

@@ -8,7 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import PARAMETER_UNIT_TEXT, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import PARAMETER_UNIT_PLACEHOLDER, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.core.arrays import Floats
 from ltsim.core.results import ColumnValues
 from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
@@ -82,7 +82,7 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
     column = find_column(name)
     if column is None:
         return {"unit": "", "meaning": ""}
-    unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_TEXT else column.unit
+    unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_PLACEHOLDER else column.unit
     return {"unit": unit, "meaning": column.meaning}
 
 

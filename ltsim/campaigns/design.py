@@ -13,7 +13,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
+from ltsim.simulation.scenario_keys import ValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMN_NAMES = frozenset(
     {
@@ -30,7 +30,7 @@ MAX_DESIGN_KEYS = 64
 """Largest number of keys that a design varies, each over one range of values."""
 
 
-class LevelRange(TomlSection):
+class KeyRange(TomlSection):
     """Range of one key of the scenario in a design, in the unit of the key; integers if the key takes integers."""
 
     low: Finite
@@ -63,7 +63,7 @@ class SpaceFillingDesign(TomlSection):
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cell_count: Annotated[int, Field(ge=2)]
     """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
-    ranges: Annotated[dict[str, LevelRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
+    ranges: Annotated[dict[str, KeyRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
     """Range of each key, by dotted key or by a name in `[linked_keys]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")

@@ -25,7 +25,7 @@ from ltsim.physics.effects.verbs import SizedEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
-from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
+from ltsim.simulation.injector import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 LAW_AMPLITUDE_NAME = "size"
 """Name of the amplitude in the specification of a law, ``RESPONSE ~ REGRESSOR:size=VALUE``: the rms change of the
@@ -101,7 +101,7 @@ def inject(
     )
     for number, cause in enumerate(causes):
         rng = random_stream(seed, "inject", number)
-        drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
+        drawn, values = _scaled_effect(injector, cause, noncentrality, rng)
         changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
         injector = injector.with_recording(changed_recording)
         injected.append(entry)
@@ -219,7 +219,7 @@ def _detection_curve_row(
     return row
 
 
-def _scaled_injection(
+def _scaled_effect(
     injector: Injector,
     cause: str | CandidateEffect | SizedEffect,
     noncentrality: float | None,
@@ -265,9 +265,9 @@ def _drawn_effect(
     return chosen, _parameter_values(chosen, sizes, injector, random_generator)
 
 
-def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
+def _split_parameter_values(effect_specification: str) -> tuple[str, dict[str, float]]:
     """Specification of an effect without the parameter values in it, and the parameter values by parameter name."""
-    name, _, rest = effect_text.partition(":")
+    name, _, rest = effect_specification.partition(":")
     names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
@@ -276,7 +276,7 @@ def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
             try:
                 sizes[key.strip()] = float(value)
             except ValueError:
-                raise ModelError(f"'{effect_text}': {key.strip()} is {value!r}, expected a number") from None
+                raise ModelError(f"'{effect_specification}': {key.strip()} is {value!r}, expected a number") from None
     words = [item for item in items if item.partition("=")[0].strip() not in sizes]
     return f"{name}:{','.join(words)}" if words else name, sizes
 

@@ -15,8 +15,7 @@ from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
 """Step [m, rad] below which Newton's method for the inversion of the chain ends; the remaining error is smaller than
-the step by a factor of 1e-4.
-"""
+the step by a factor of 1e-4."""
 MAX_BATCH_NEWTON_STEPS = 8
 """Largest number of Newton steps for the inversion of the kinematic chain: readings from target positions."""
 
@@ -45,22 +44,22 @@ def _motion_amounts(
     pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
     """Deviations of the motions' amounts from nominal [m, rad], written to `amounts` (motions, trials)."""
-    _, _, sign, driven, _, first, fed, varies, basis, slope = chain
+    _, _, sign, reading_indices, _, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
-    for m in range(len(driven)):
+    for m in range(len(reading_indices)):
         row = amounts[m]
-        if driven[m] >= 0:
-            reading_deviation = deviation[driven[m]]
+        if reading_indices[m] >= 0:
+            reading_deviation = deviation[reading_indices[m]]
             for t in range(n_trials):
                 row[t] = reading_deviation[t]
         else:
             for t in range(n_trials):
                 row[t] = 0.0
-        for j in range(first[m], first[m + 1]):
-            k = fed[j]
+        for j in range(parameter_offsets[m], parameter_offsets[m + 1]):
+            k = parameter_indices[j]
             value = parameter_values[k]
             b = basis[k, pointing]
-            if varies[k] == 0:
+            if depends_on_readings[k] == 0:
                 for t in range(n_trials):
                     row[t] += value[t] * value_of_trial(b, t)
             else:
@@ -115,18 +114,18 @@ def _backpropagate(
     deviation: Floats,
     amounts: Floats,
     path: Floats,
-    force: Floats,
+    point_grad: Floats,
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtraction of `force` (3, trials) times the target's derivative by each parameter from `gradient`."""
-    is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
+    """Subtraction of `point_grad` (3, trials) times the target's derivative by each parameter from `gradient`."""
+    is_rotation, axis, sign, _, amount, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
-        along, across, above = force[a], force[b], force[c]
-        if first[m + 1] > first[m]:
+        along, across, above = point_grad[a], point_grad[b], point_grad[c]
+        if parameter_offsets[m + 1] > parameter_offsets[m]:
             if is_rotation[m] == 0:
                 for t in range(n_trials):
                     moment[t] = sign[m] * along[t]
@@ -134,11 +133,11 @@ def _backpropagate(
                 p1, p2 = path[m, b], path[m, c]
                 for t in range(n_trials):
                     moment[t] = sign[m] * (p1[t] * above[t] - p2[t] * across[t])
-            for j in range(first[m], first[m + 1]):
-                k = fed[j]
+            for j in range(parameter_offsets[m], parameter_offsets[m + 1]):
+                k = parameter_indices[j]
                 row = gradient[k]
                 b_ = basis[k, pointing]
-                if varies[k] == 0:
+                if depends_on_readings[k] == 0:
                     for t in range(n_trials):
                         row[t] -= moment[t] * value_of_trial(b_, t)
                 else:
@@ -216,7 +215,7 @@ def compute_readings(
 
 
 @compile_function
-def backpropagate_mean_forces(
+def backpropagate_mean_gradients(
     chain: ChainProgram,
     instrument: Ints,
     station_face_indices: Ints,
@@ -224,25 +223,25 @@ def backpropagate_mean_forces(
     mean_weights: Floats,
     deviation: Floats,
     parameter_values: Floats,
-    forces: Floats,
+    mean_gradients: Floats,
     parameter_gradient: Floats,
 ) -> None:
     """Negative gradient of an objective by the instrument parameters, added to `parameter_gradient`.
 
-    `forces` (sets, targets, 3, trials) is the derivative of the objective by the mean point of each set (one station
-    and face) and target. A pointing contributes to it with the weight `mean_weights` (pointings,).
+    `mean_gradients` (sets, targets, 3, trials) is the derivative of the objective by the mean point of each set (one
+    station and face) and target. A pointing contributes to it with the weight `mean_weights` (pointings,).
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
-    force, moment = np.empty((3, trials)), np.empty(trials)
+    point_grad, moment = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
         tracker = instrument[i]
         _motion_amounts(i, chain, deviation[i], parameter_values[tracker], amounts)
         _forward_chain(i, chain, amounts, path)
         for c in range(3):
             for t in range(trials):
-                force[c, t] = mean_weights[i] * forces[station_face_indices[i], target[i], c, t]
-        _backpropagate(i, chain, deviation[i], amounts, path, force, moment, parameter_gradient[tracker])
+                point_grad[c, t] = mean_weights[i] * mean_gradients[station_face_indices[i], target[i], c, t]
+        _backpropagate(i, chain, deviation[i], amounts, path, point_grad, moment, parameter_gradient[tracker])
 
 
 @compile_function
@@ -282,15 +281,17 @@ def network_gradient(
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
-    force, moment, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
+    point_grad, moment, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
     for i in range(len(deviation)):
         parameters, s = values[instrument[i]], station[i]
         _motion_amounts(i, chain, predicted[i], parameters, amounts)
         _forward_chain(i, chain, amounts, path)
         _station_to_target(station_to_target[i], rotation[s], pose[s], points[target[i]], path[0], work)
-        _reading_force(point_derivatives[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
-        _add_forces(rotation[s], pose[s], work, force, pose_gradient[s], target_gradient[target[i]])
-        _backpropagate(i, chain, predicted[i], amounts, path, force, moment, parameter_gradient[instrument[i]])
+        _target_gradient(
+            point_derivatives[i], weight[i], work, deviation[i], predicted[i], residual[i], point_grad, cost
+        )
+        _add_network_gradients(rotation[s], pose[s], work, point_grad, pose_gradient[s], target_gradient[target[i]])
+        _backpropagate(i, chain, predicted[i], amounts, path, point_grad, moment, parameter_gradient[instrument[i]])
 
 
 @compile_function
@@ -323,17 +324,17 @@ def _station_to_target(
 
 
 @compile_function
-def _reading_force(
+def _target_gradient(
     point_derivatives: Floats,
     weight: Floats,
     work_rows: Floats,
     observed: Floats,
     predicted: Floats,
     residual: Floats,
-    force: Floats,
+    point_grad: Floats,
     cost: Floats,
 ) -> None:
-    """Negative gradient by the target from one pointing of each trial, written to `force` (3, trials).
+    """Negative gradient by the target from one pointing of each trial, written to `point_grad` (3, trials).
 
     Whitened residuals are written to `residual` (3, trials), and their squares are added to `cost` (trials,).
     """
@@ -345,7 +346,7 @@ def _reading_force(
     y0, y1, y2 = observed[0], observed[1], observed[2]
     f0, f1, f2 = predicted[0], predicted[1], predicted[2]
     e0, e1, e2 = residual[0], residual[1], residual[2]
-    fx, fy, fz = force[0], force[1], force[2]
+    fx, fy, fz = point_grad[0], point_grad[1], point_grad[2]
     for t in range(len(cost)):
         n0 = f0[t] + (value_of_trial(j00, t) * mx[t] + value_of_trial(j01, t) * my[t] + value_of_trial(j02, t) * mz[t])
         n1 = f1[t] + (value_of_trial(j10, t) * mx[t] + value_of_trial(j11, t) * my[t] + value_of_trial(j12, t) * mz[t])
@@ -365,15 +366,15 @@ def _reading_force(
 
 
 @compile_function
-def _add_forces(
-    rotation: Floats, pose: Floats, work_rows: Floats, force: Floats, pose_gradient: Floats, target_gradient: Floats
+def _add_network_gradients(
+    rotation: Floats, pose: Floats, work_rows: Floats, grad: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of a pointing's negative gradient `force` (3, trials) to the gradients of its target and its station."""
+    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of target and station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], work_rows[0], work_rows[1], work_rows[2]
-    fx, fy, fz = force[0], force[1], force[2]
+    fx, fy, fz = grad[0], grad[1], grad[2]
     gx, gy, gz = pose_gradient[0], pose_gradient[1], pose_gradient[2]
     hx, hy, hz = pose_gradient[3], pose_gradient[4], pose_gradient[5]
     kx, ky, kz = target_gradient[0], target_gradient[1], target_gradient[2]

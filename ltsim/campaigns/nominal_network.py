@@ -50,9 +50,9 @@ class SharedDerivatives:
 class _Factorisation(NamedTuple):
     """Factorised normal matrix of a nominal network, and designs with its columns reordered as the unknowns."""
 
-    root: Floats
+    cholesky_factor: Floats
     """Lower Cholesky factor (unknowns, unknowns) of the normal matrix, scaled to a unit diagonal."""
-    scale: Floats
+    column_scales: Floats
     """Scales (unknowns,) of the unknowns."""
     non_reading_design: Floats
     """Whitened design (rows, unknowns) of all observations except readings."""
@@ -143,7 +143,7 @@ class NominalNetwork:
 
         InputError is raised for undetermined unknowns.
         """
-        return self._factorisation.root, self._factorisation.scale
+        return self._factorisation.cholesky_factor, self._factorisation.column_scales
 
     @property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
@@ -234,7 +234,7 @@ class NominalNetwork:
         )
 
     @cached_property
-    def _floor_plan_sightings(self) -> Sightings:
+    def _sightings_in_floor_plan_frame(self) -> Sightings:
         """Pointings in the frame of the floor plan, in which the directions of nests are declared."""
         state = self.nominal_state
         motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
@@ -247,7 +247,7 @@ class NominalNetwork:
             state = replace(state, station_rotations=turn @ state.station_rotations, **places)
         if self.shared_derivatives is None:
             return self.model.sightings(state)
-        return self.shared_derivatives.network._floor_plan_sightings.with_geometry(
+        return self.shared_derivatives.network._sightings_in_floor_plan_frame.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
 
@@ -256,7 +256,7 @@ class NominalNetwork:
         """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
-        return self.model.extra_design(self._floor_plan_sightings)
+        return self.model.extra_design(self._sightings_in_floor_plan_frame)
 
     @cached_property
     def reading_sigmas(self) -> Floats:

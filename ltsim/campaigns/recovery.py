@@ -44,7 +44,7 @@ from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_bounds, check_choice, check_mapping
 from ltsim.core.errors import InputError, ModelError, option_text
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.results import Table
 from ltsim.core.units import parse_in_unit
 from ltsim.physics.effects.effect import Effect
@@ -101,8 +101,8 @@ class Recovery(ResultFile):
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
             error_origin=trials.error_origin,
-            trials=len(trials.trials),
-            trials_with_result=len(trials.trials_with_result),
+            trials=len(trials.trial_scores),
+            trials_with_result=len(trials.available_trial_scores),
             seed=seed,
             checks=checks,
             parameters=trials.parameter_statistics(),
@@ -126,7 +126,7 @@ class Recovery(ResultFile):
         return [
             f"Recovery, errors {self.error_origin}: {self.trials} trials, {self.trials_with_result} converged: "
             f"{self.verdict_text()}",
-            *self.comparison_sentences(),
+            *self.unestimated_parameter_sentences(),
             *self.failure_sentences(),
         ]
 
@@ -141,7 +141,7 @@ class Recovery(ResultFile):
         """Checks whose number is outside its bounds."""
         return [check for check in self.checks if not check.passed]
 
-    def comparison_sentences(self) -> list[str]:
+    def unestimated_parameter_sentences(self) -> list[str]:
         """Sentence on the parameters that ltsim estimates but the checked calibrator does not; empty without any."""
         more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
         if not more:
@@ -150,7 +150,7 @@ class Recovery(ResultFile):
         count = len(self.parameters)
         return [
             f"The calibrator estimates {count} parameter{'' if count == 1 else 's'} ({names}). In the comparison "
-            f"ltsim estimates {len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}. Its errors "
+            f"ltsim estimates {len(self.ltsim_parameters)}, also {names_text(more, MAX_LISTED_PARAMETERS)}. Its errors "
             "contain the uncertainty of these further parameters; the errors of the calibrator contain "
             "their neglected effects."
         ]
@@ -164,7 +164,7 @@ class Recovery(ResultFile):
         limited = [name for name in names if name in self.tolerances]
         if self.tolerances and len(limited) < count:
             verb = "is" if len(limited) == 1 else "are"
-            checked_text = f"{len(limited)} of {count} parameters ({listing(limited, MAX_LISTED_PARAMETERS)}) {verb}"
+            checked_text = f"{len(limited)} of {count} parameters ({names_text(limited, MAX_LISTED_PARAMETERS)}) {verb}"
             return f"{checked_text} recovered within {phrase}, the others have no tolerance and are not checked"
         if not self.unchecked_parameters:
             return f"everything is recovered within {phrase}"
@@ -190,7 +190,7 @@ class Recovery(ResultFile):
             example = f"{option_text('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
             several = (
                 f"{len(unchecked)} of {len(self.parameters)} parameters "
-                f"({listing(unchecked, MAX_LISTED_PARAMETERS)}) are"
+                f"({names_text(unchecked, MAX_LISTED_PARAMETERS)}) are"
             )
             sentence = f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
             sentence += "not declare the standard deviation in every trial"
@@ -284,7 +284,7 @@ def recover(
     failed = 0
     with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for given_outcome in outcomes:
-            outcome = _failed_if_parameters_differ(given_outcome, done)
+            outcome = _failed_if_parameters_differ_from_first_trial(given_outcome, done)
             if isinstance(outcome, FailedTrial):
                 failed, problem = failed + outcome.is_external, outcome.reason
                 done.append(None)
@@ -299,7 +299,7 @@ def recover(
     return Recovery.from_trials(result, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _failed_if_parameters_differ(
+def _failed_if_parameters_differ_from_first_trial(
     outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
 ) -> TrialScore | FailedTrial:
     """Outcome of a trial; a failed trial if its parameters differ from those of the first trial with a result."""

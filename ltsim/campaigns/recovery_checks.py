@@ -15,7 +15,7 @@ from scipy import stats
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Table, columns_of
+from ltsim.core.results import Table, model_columns
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 RECOVERY_FALSE_ALARM_RATE = 0.01
@@ -34,7 +34,7 @@ CHI2_MARGIN = 0.02
 """Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
 MEAN_SQUARE_Z_MARGIN = 0.05
 """Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
-MAX_RELATIVE_MEAN_SQUARE_DEVIATION = float(np.sqrt(2.0))
+MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT = float(np.sqrt(2.0))
 """Upper bound for the ratio of standard deviation to mean of the mean squared z-score of a trial. The bound is reached
 if all z-scores of the trial are equal."""
 
@@ -78,7 +78,7 @@ class RecoveryCheck(Entry):
         return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"
 
 
-RECOVERY_CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
+RECOVERY_CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", model_columns(RecoveryCheck))
 
 
 def recovery_checks(
@@ -203,7 +203,7 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
     return [mean, spread.with_limits(0.0, spread.upper_limit), coverage.with_limits(coverage.lower_limit, 1.0)]
 
 
-def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
+def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
     """Check of the sum of chi-square over all trials, divided by its expectation.
 
     `chi2` (trials,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (trials,) its expectation and
@@ -217,7 +217,7 @@ def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
     return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
-def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
+def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
     """Check that the mean over the trials of a value with expectation one, `trial_values` (trials,), is one.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
@@ -226,9 +226,9 @@ def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float)
     median = float(np.median(trial_values))
     deviation = float(np.median(np.abs(trial_values - median)))
     relative = (
-        min(deviation / (stats.norm.ppf(0.75) * median), MAX_RELATIVE_MEAN_SQUARE_DEVIATION)
+        min(deviation / (stats.norm.ppf(0.75) * median), MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT)
         if median > 0
-        else MAX_RELATIVE_MEAN_SQUARE_DEVIATION
+        else MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT
     )
     margin = max(
         MEAN_SQUARE_Z_MARGIN,

@@ -17,11 +17,11 @@ from ltsim.campaigns.recovery_checks import (
     NOMINAL_COVERAGE,
     RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
-    chi_square_check,
     fixed_truth_checks,
-    mean_check,
     parameter_checks,
     tolerance_check,
+    total_chi2_check,
+    unit_mean_check,
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
@@ -33,7 +33,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
-from ltsim.core.results import Table, columns_of, number_columns, text_columns
+from ltsim.core.results import Table, model_columns, number_columns, text_columns
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
@@ -48,7 +48,7 @@ CONVERGENCE_CHECK_NAME = "convergence"
 class RecoveryTolerance(NamedTuple):
     """Limit within which 95 % of the errors of a parameter must lie."""
 
-    max_error: float
+    error_limit_95: float
     """Limit in the unit of the parameter."""
     text: str
     """Limit as the user gave it, with its unit."""
@@ -81,7 +81,7 @@ class RecoveredParameter(Entry):
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
-    "parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter)
+    "parameters.csv", "errors of each parameter over the trials", model_columns(RecoveredParameter)
 )
 TRIALS_TABLE = Table(
     "trials.csv",
@@ -189,12 +189,12 @@ def calibrate_by_settings(
 class RecoveryTrials(ValueEquality):
     """All trials of a recovery check, with their statistics and checks."""
 
-    trials: tuple[TrialScore | None, ...]
+    trial_scores: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
     error_origin: ErrorOrigin = "drawn"
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
-    run_time: float = 0.0
+    run_time_s: float = 0.0
     """Run time of the trials [s]."""
     last_failure_reason: str = ""
     """Reason of the last failure of a trial."""
@@ -202,21 +202,21 @@ class RecoveryTrials(ValueEquality):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters of the checked calibrator."""
-        return self.trials_with_result[0].parameter_names if self.trials_with_result else ()
+        return self.available_trial_scores[0].parameter_names if self.available_trial_scores else ()
 
     @property
     def ltsim_parameter_names(self) -> tuple[str, ...]:
         """Names of all parameters that ltsim estimates in the same recordings; empty without an external calibrator."""
-        return next((t.ltsim_parameter_names for t in self.trials_with_result if t.ltsim_parameter_names), ())
+        return next((t.ltsim_parameter_names for t in self.available_trial_scores if t.ltsim_parameter_names), ())
 
     @property
-    def trials_with_result(self) -> list[TrialScore]:
+    def available_trial_scores(self) -> list[TrialScore]:
         """Scores of the trials with a result."""
-        return [trial for trial in self.trials if trial is not None]
+        return [trial for trial in self.trial_scores if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
         """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
-        return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
+        return np.stack([getattr(trial, attribute) for trial in self.available_trial_scores])
 
     @property
     def z_scores(self) -> Floats:
@@ -225,7 +225,7 @@ class RecoveryTrials(ValueEquality):
 
     def unchecked_parameters(self) -> tuple[str, ...]:
         """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
-        if self.tolerance_by_parameter or not self.trials_with_result:
+        if self.tolerance_by_parameter or not self.available_trial_scores:
             return ()
         is_checked = np.all(np.isfinite(self.z_scores), axis=0)
         return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
@@ -236,7 +236,7 @@ class RecoveryTrials(ValueEquality):
             {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
              "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
              "ltsim_estimate": None if trial.ltsim_score is None else trial.ltsim_score.estimates[k]}
-            for number, trial in enumerate(self.trials)
+            for number, trial in enumerate(self.trial_scores)
             if trial is not None
             for k, name in enumerate(trial.parameter_names)
         ]  # fmt: skip
@@ -244,7 +244,7 @@ class RecoveryTrials(ValueEquality):
     def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.trials_with_result) >= MIN_RECOVERY_TRIALS:
+        if len(self.available_trial_scores) >= MIN_RECOVERY_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
             is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
@@ -254,7 +254,7 @@ class RecoveryTrials(ValueEquality):
                 "coverage_95": np.mean(np.where(np.isfinite(z), is_covered, np.nan), axis=0).tolist(),
                 **self._comparison_columns(error),
             }
-        units = self.trials_with_result[0].parameter_units if self.trials_with_result else ()
+        units = self.available_trial_scores[0].parameter_units if self.available_trial_scores else ()
         return tuple(
             RecoveredParameter(parameter=name, unit=unit, **{key: column[k] for key, column in columns.items()})
             for k, (name, unit) in enumerate(zip(self.parameter_names, units, strict=True))
@@ -265,11 +265,11 @@ class RecoveryTrials(ValueEquality):
 
         `error` (trials, parameters) are the errors of the checked calibrator.
         """
-        trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
+        trial_indices = [k for k, trial in enumerate(self.available_trial_scores) if trial.ltsim_score is not None]
         if len(trial_indices) < MIN_RECOVERY_TRIALS:
             return {}
         reference = np.stack(
-            [t.ltsim_score.estimates - t.true_values for t in self.trials_with_result if t.ltsim_score is not None]
+            [t.ltsim_score.estimates - t.true_values for t in self.available_trial_scores if t.ltsim_score is not None]
         )
         gap, count = np.abs(error[trial_indices]) - np.abs(reference), len(trial_indices)
         half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
@@ -282,9 +282,9 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
-        n_lost = len(self.trials) - len(self.trials_with_result)
+        n_lost = len(self.trial_scores) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
-        if len(self.trials_with_result) < MIN_RECOVERY_TRIALS:
+        if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:
             return checks
         indices = [
             k
@@ -302,7 +302,7 @@ class RecoveryTrials(ValueEquality):
             self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
-        foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
+        foreign, checks = self.available_trial_scores[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
         if self.error_origin == "stated" and np.all(np.isfinite(z)):
@@ -315,18 +315,18 @@ class RecoveryTrials(ValueEquality):
                 self._stack_attribute("estimates")[:, parameter_index]
                 - self._stack_attribute("true_values")[:, parameter_index]
             )
-            checks.append(tolerance_check(name, error, given.max_error, given.text))
+            checks.append(tolerance_check(name, error, given.error_limit_95, given.text))
         return checks
 
     def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
         """Checks of chi-square, targets and stations; `alpha` is the false-alarm rate of each check."""
-        parts, checks = [trial.network_score for trial in self.trials_with_result], []
+        parts, checks = [trial.network_score for trial in self.available_trial_scores], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_sigma")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
-            checks.append(chi_square_check(chi2, expected, spread, alpha))
+            checks.append(total_chi2_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square_z") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(mean_check(what, "mean squared error over variance", squares, alpha))
+                checks.append(unit_mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

@@ -59,8 +59,8 @@ class CampaignResults(CampaignStatistics, Result):
         self._sql_column(statistic)
         return paired_differences(self, statistic, **pair)
 
-    def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
-        """Value of a function of the trials for each cell and method, with its 95 % confidence interval.
+    def bootstrap_statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
+        """Value of a function of the trials for each cell and method, with its 95 % bootstrap confidence interval.
 
         Parameters
         ----------
@@ -82,7 +82,9 @@ class CampaignResults(CampaignStatistics, Result):
             When there is no such column, or the function does not return a number.
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
-            raise ModelError(f"{shares[0]} is a ratio over all trials, not a column of the rows; call `distribution`")
+            raise ModelError(
+                f"{shares[0]} is a ratio over all trials, not a column of the rows; call `statistic_summaries`"
+            )
         sql_columns = [self._sql_column(column) for column in columns]
         condition_text = " AND ".join(f"isfinite({name})" for name in sql_columns) or "true"
         name = getattr(function, "__name__", type(function).__name__)
@@ -155,7 +157,7 @@ class CampaignResults(CampaignStatistics, Result):
         variables: dict[str, Any] = {}
         for name in statistics or [c for c in self.columns if ":" not in c and c != SOLVER_DIFFERENCE_COLUMN]:
             bounds = np.full((3, *shape), np.nan)
-            for s in self.distribution(name):
+            for s in self.statistic_summaries(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
                     bound[(methods.index(s.method), *places[s.cell])] = value
             meaning, unit = (column.meaning if (column := find_column(name)) else ""), self.units.get(name, "")
@@ -199,7 +201,7 @@ def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list
 
 
-MAX_LEVEL_ROUNDING_ERROR = 5e-4
+MAX_FACTOR_LEVEL_ROUNDING_ERROR = 5e-4
 """Largest relative difference between a level and the number by which a user requests it. A level may thus be given
 rounded to three digits.
 """
@@ -318,7 +320,7 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
     )
     if isinstance(value, int | float) and not isinstance(value, bool):
         numbers = [k for k in distinct if isinstance(k, int | float)]
-        near = [k for k in numbers if math.isclose(k, value, rel_tol=MAX_LEVEL_ROUNDING_ERROR)]
+        near = [k for k in numbers if math.isclose(k, value, rel_tol=MAX_FACTOR_LEVEL_ROUNDING_ERROR)]
         if len(near) == 1:
             return near[0]
     raise unknown_name_error(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])

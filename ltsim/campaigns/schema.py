@@ -20,7 +20,7 @@ SUMMARY_FILE = "summary.csv"
 """Name of the file with the statistics of a campaign."""
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
-PARAMETER_UNIT_TEXT = "of the parameter"
+PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
 """Text in place of the unit for columns whose numbers are in the unit of the parameter in the name of the column."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
 """Status of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
@@ -29,14 +29,16 @@ ErrorOrigin = Literal["drawn", "stated"]
 scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 """Group of results in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
-READING_ERROR_TEXT = (
+MEASURED_POINT_ERROR_MEANING = (
     "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
     "after a rigid fit of each station's points to the true points; noise of these readings included"
 )
 """Meaning of the result columns with an error of the measured points, for tables and documentation."""
-NEW_POINT_TEXT = "error at the held-out points of `validation_points`, whose readings no calibration used: "
+HELD_OUT_POINT_MEANING_PREFIX = (
+    "error at the held-out points of `validation_points`, whose readings no calibration used: "
+)
 """Beginning of the meaning of result columns at held-out points, for tables and documentation."""
-REMOVED_FRACTION_TEXT = (
+REMOVED_ERROR_FRACTION_MEANING = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
     "calibration with the true parameters, 0 for no correction, below 0 for a correction that increases the error; its "
@@ -80,7 +82,7 @@ def _error_columns(prefix: str, description: str) -> list[RowColumn]:
         f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
     return _result_columns("errors", "um", **meaning_by_column) + _result_columns(
-        "errors", "", **{f"{prefix}share_removed": REMOVED_FRACTION_TEXT.format(prefix)}
+        "errors", "", **{f"{prefix}share_removed": REMOVED_ERROR_FRACTION_MEANING.format(prefix)}
     )
 
 
@@ -91,20 +93,20 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
     ),
     *_criterion_columns("distance", "the distance criterion: deviations of distances from their mean over stations"),
     *_criterion_columns("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
-    *_error_columns("", READING_ERROR_TEXT),
+    *_error_columns("", MEASURED_POINT_ERROR_MEANING),
     *_result_columns(
         "errors",
         "um",
         target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
         "rigidly to the true ones; it includes the noise of the adjusted readings",
     ),
-    *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_TEXT),
+    *_error_columns("new_point_", HELD_OUT_POINT_MEANING_PREFIX + MEASURED_POINT_ERROR_MEANING),
     _parameter_column(
         "z", "", "z-scores", "(estimate - true value) / sigma of a parameter that is both simulated and estimated"
     ),
-    _parameter_column("estimate", PARAMETER_UNIT_TEXT, "estimates", "estimate of a parameter"),
-    _parameter_column("sigma", PARAMETER_UNIT_TEXT, "estimates", "standard deviation of an estimate"),
-    _parameter_column("true", PARAMETER_UNIT_TEXT, "truth", "true value of a parameter"),
+    _parameter_column("estimate", PARAMETER_UNIT_PLACEHOLDER, "estimates", "estimate of a parameter"),
+    _parameter_column("sigma", PARAMETER_UNIT_PLACEHOLDER, "estimates", "standard deviation of an estimate"),
+    _parameter_column("true", PARAMETER_UNIT_PLACEHOLDER, "truth", "true value of a parameter"),
 )
 """Columns of all results that rows and statistics can contain, for files, documentation and reports."""
 RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
@@ -118,7 +120,7 @@ def find_column(name: str) -> RowColumn | None:
     )
 
 
-def ratio_columns(ratio_name: str) -> tuple[str, str, str]:
+def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
     """Names of the columns from which a ratio is computed: errors raw, calibrated, and with the true parameters."""
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
@@ -148,7 +150,7 @@ def statistic_sql_expressions(statistic: str) -> tuple[str, ...]:
     """
     if statistic not in RATIO_STATISTICS:
         return (sql_identifier(statistic),)
-    raw, calibrated, perfect = (f"{sql_identifier(name)}::DOUBLE ^ 2" for name in ratio_columns(statistic))
+    raw, calibrated, perfect = (f"{sql_identifier(name)}::DOUBLE ^ 2" for name in error_columns_of_ratio(statistic))
     return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 
@@ -214,7 +216,7 @@ class ScenarioSettings(Entry):
     """Trackers with names, by name."""
 
 
-LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
+FactorLevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 """Level of a factor in `manifest.json`: flag, integer, number, text, or null for a missing key."""
 
 
@@ -225,7 +227,7 @@ class CellEntry(Entry):
     """Index of the cell in the campaign, from 0."""
     label: str
     """Description of the cell in one line: the level of each factor."""
-    levels: dict[str, LevelValue] = Field(default_factory=dict)
+    levels: dict[str, FactorLevelValue] = Field(default_factory=dict)
     """Level of each factor, by the factor's name."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in this cell, by dotted key."""
@@ -238,7 +240,7 @@ FACTORS_TABLE = Table(
     "factors: keys of the scenario whose values differ between cells",
     text_columns(factor="title", values="levels", key="key of the scenario", meaning="meaning of the key"),
 )
-MEANS_BY_LEVEL_TABLE = Table(
+MEANS_BY_FACTOR_LEVEL_TABLE = Table(
     "levels.csv",
     "means over the cells of each level",
     (
@@ -248,7 +250,7 @@ MEANS_BY_LEVEL_TABLE = Table(
         ),
     ),
 )
-ERRORS_TABLE = Table(
+ERRORS_BEFORE_AND_AFTER_TABLE = Table(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (

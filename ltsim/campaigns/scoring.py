@@ -96,7 +96,7 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     return instrument_values | dict(zip(names, effect_values, strict=True))
 
 
-def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
+def check_parameters_have_true_values(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
     """Check that the parameters `names` are among `true_names`; InputError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
@@ -188,7 +188,7 @@ def score_calibration(
     `truth_distributions` holds, by name, mean and standard deviation [SI] of the distribution from which each true
     parameter was drawn; the standard deviation of a declared parameter is 0.
     """
-    check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
+    check_parameters_have_true_values(calibration.instrument_parameter_names, truth.instrument_values, truth)
     expected = TrueParameterDistribution.from_calibration(calibration, truth, truth_distributions)
     n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
@@ -201,7 +201,7 @@ def score_calibration(
         noisy, (error + missed @ expected.mean_true_values) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan
     )
     network = NetworkScore(
-        *_network_scores(calibration, truth, expected),
+        *_network_mean_square_z(calibration, truth, expected),
         calibration.fit.chi2,
         calibration.fit.dof,
         *_expected_chi2(calibration, expected),
@@ -212,7 +212,7 @@ def score_calibration(
         [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
     true_by_name = true_parameters(truth)
-    fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in true_by_name}
+    fitted = {name: entry for name, entry in _effect_parameter_estimates(calibration).items() if name in true_by_name}
     plain = np.all(expected.true_value_sigmas[:n_parameters] == 1.0) and not np.any(
         expected.mean_true_values[:n_parameters]
     )  # otherwise priors bias the effects too
@@ -222,14 +222,14 @@ def score_calibration(
     effect_scores = effect_scores.reshape(-1, 3).T
     z = (1.0 if plain else np.nan) * (effect_scores[0] - effect_scores[2]) / effect_scores[1]
     value, sigma, right, scores = np.concatenate([instrument, np.vstack([effect_scores, z])], axis=1)
-    names, shown = (
+    names, display_units = (
         tuple(calibration.instrument_parameter_names) + tuple(fitted),
         units + tuple(e.unit for e in fitted.values()),
     )
-    return TrialScore(names, shown, value, sigma, right, scores, network)
+    return TrialScore(names, display_units, value, sigma, right, scores, network)
 
 
-def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
+def _effect_parameter_estimates(calibration: Calibration) -> dict[str, ParameterEstimate]:
     """Estimates of the parameters of effects in a calibration, by the names that `true_parameters` uses."""
     effect_entries = calibration.effects
     names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in effect_entries)
@@ -256,7 +256,9 @@ def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistri
     )
 
 
-def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParameterDistribution) -> tuple[float, float]:
+def _network_mean_square_z(
+    calibration: Calibration, truth: Truth, expected: TrueParameterDistribution
+) -> tuple[float, float]:
     """Mean squares of error divided by standard deviation: of all targets, and of the poses of stations.
 
     Bias and variance by the prior are taken into account, so that both have expectation one. They are NaN for a datum

@@ -29,16 +29,17 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
+from ltsim.simulation.scenario_keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.sections import PlacedEffect
 
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
-MAX_FILE_ROWS = 65_536
-"""Largest number of rows (trials times methods) in a file of rows; a row with all statistics takes 2 kB of memory."""
+MAX_WRITTEN_SHARD_ROWS = 65_536
+"""Largest number of rows (trials times methods) in a shard that is written; a row with all statistics takes 2 kB
+of memory."""
 VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `validation_points`."""
 
@@ -201,9 +202,9 @@ class CampaignFile(TomlSection):
             )
         number_of_shards(self.trials, self.trials_per_shard, cells)
         n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
-        if n_rows > MAX_FILE_ROWS:
+        if n_rows > MAX_WRITTEN_SHARD_ROWS:
             raise ValueError(
-                f"it should have at most {MAX_FILE_ROWS} rows per file, but trials_per_shard and methods give "
+                f"it should have at most {MAX_WRITTEN_SHARD_ROWS} rows per file, but trials_per_shard and methods give "
                 f"{n_rows}: reduce trials_per_shard"
             )
         return self
@@ -268,7 +269,7 @@ def load_campaign(
         campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
         campaign = override_campaign(campaign, changes, path)
-    base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
+    base = load_scenario(path_relative_to_campaign_file(campaign.scenario, path) or campaign.scenario)
     common_values = {
         key: convert_value(base, key, value, str(path))
         for key, value in campaign.values_by_key(campaign.scenario_changes).items()
@@ -329,11 +330,11 @@ def make_cells(
     for scenario, scenario_changes in zip(scenarios, campaign.scenario_changes_of_cells(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         points_name = campaign.validation_points
-        judge = make_validation_scenario(points_name, scenario, path) if points_name else None
+        validation = make_validation_scenario(points_name, scenario, path) if points_name else None
         levels = {factor.name: factor.level(tables) for factor in factors}
-        places = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
-        mark = hashlib.sha256("\n".join([cell_seed_text, *places]).encode()).hexdigest()
-        cells.append(CampaignCell(scenario, judge, scenario_changes, levels, mark))
+        texts = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
+        digest = hashlib.sha256("\n".join([cell_seed_text, *texts]).encode()).hexdigest()
+        cells.append(CampaignCell(scenario, validation, scenario_changes, levels, digest))
     return factors, tuple(cells)
 
 
@@ -342,7 +343,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
 
     `name` is the value of `validation_points`, and `path` the campaign file. Raises InputError.
     """
-    file = local_file(name, path)
+    file = path_relative_to_campaign_file(name, path)
     if name.endswith(".csv"):
         with as_input_error():
             points = read_nominal(file or path.parent / name)
@@ -368,7 +369,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
     return hall
 
 
-def local_file(name: str, path: Path) -> Path | None:
+def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
     """Path of the file `name` relative to the folder of the campaign file `path`; None if there is no such file."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():

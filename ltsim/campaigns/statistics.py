@@ -21,8 +21,8 @@ from ltsim.campaigns.schema import (
     SOLVER_DIFFERENCE_COLUMN,
     WITHOUT_RESULT,
     ManifestFile,
+    error_columns_of_ratio,
     find_column,
-    ratio_columns,
     sql_identifier,
     statistic_sql_expressions,
     summary_table,
@@ -95,7 +95,7 @@ class CampaignStatistics:
         if not shards:
             raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
-        self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": memory_limit(shards)})
+        self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": database_memory_limit(shards)})
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
@@ -107,7 +107,7 @@ class CampaignStatistics:
                 held = [row[0] for row in self._database.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
             self.columns: tuple[str, ...] = (
                 *held,
-                *(name for name in RATIO_STATISTICS if set(ratio_columns(name)) <= {*held}),
+                *(name for name in RATIO_STATISTICS if set(error_columns_of_ratio(name)) <= {*held}),
             )
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _column_units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
@@ -200,7 +200,7 @@ class CampaignStatistics:
         level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
-    def distribution(self, column: str) -> list[StatisticSummary]:
+    def statistic_summaries(self, column: str) -> list[StatisticSummary]:
         """Mean with confidence interval, standard deviation and quantiles of a column, for each cell and method."""
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
@@ -308,7 +308,7 @@ class CampaignStatistics:
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
             solver_comparisons=tuple(self.solver_comparisons()),
             meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
-            columns=tuple(entry for column in columns_used for entry in self.distribution(column)),
+            columns=tuple(entry for column in columns_used for entry in self.statistic_summaries(column)),
             z_scores=tuple(self.z_score_summaries()),
         )
 
@@ -345,7 +345,7 @@ def _nan_if_none(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def memory_limit(shards: Sequence[Path]) -> str:
+def database_memory_limit(shards: Sequence[Path]) -> str:
     """Largest memory that DuckDB may use for queries over `shards`, as the text of its setting: `250MiB`."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
     return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"

@@ -28,14 +28,14 @@ from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
 from ltsim.core.errors import InputError, RecordError, option_text
-from ltsim.core.limits import MAX_SHARD_ROWS
+from ltsim.core.limits import MAX_READ_SHARD_ROWS
 from ltsim.core.storage import (
     append_text,
     complete_interrupted_moves,
     open_for_reading,
     path_in_folder,
     read_whole_file,
-    require_single_name,
+    require_no_link,
     write_files,
 )
 from ltsim.recordings.result_file import read_result
@@ -81,14 +81,14 @@ def read_shard(path: Path) -> pa.Table:
     """
     open_for_reading(path).close()  # the library would wait for a pipe
     file = pq.ParquetFile(path, page_checksum_verification=True)
-    _require_few_rows(path, file.metadata)
+    _check_number_of_rows(path, file.metadata)
     return file.read()
 
 
-def _require_few_rows(path: Path, metadata: pq.FileMetaData) -> None:
+def _check_number_of_rows(path: Path, metadata: pq.FileMetaData) -> None:
     """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
-    if metadata.num_rows > MAX_SHARD_ROWS:
-        raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_SHARD_ROWS}")
+    if metadata.num_rows > MAX_READ_SHARD_ROWS:
+        raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_READ_SHARD_ROWS}")
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> InputError:
@@ -133,7 +133,7 @@ class CampaignFolder:
             if name in digests:
                 if _file_digest(path) != digests[name]:
                     raise ValueError(f"{name} was changed since it was written")
-                _require_few_rows(path, pq.read_metadata(path))
+                _check_number_of_rows(path, pq.read_metadata(path))
                 continue
             label = _shard_metadata(read_shard(path))
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
@@ -206,7 +206,7 @@ class CampaignFolder:
     def shard_status(
         self, cell: int, shard: int, required_metadata: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
     ) -> str:
-        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
+        """Status of a shard: `complete`, `missing`, `damaged`, or `incomplete` (rows or columns are missing).
 
         `required_metadata` and `n_rows` are metadata and number of rows of a complete shard, `digests` the recorded
         digests by path.
@@ -216,18 +216,18 @@ class CampaignFolder:
             return "missing"
         try:
             table = read_shard(path)
-            noted, label = digests.get(path.relative_to(self.folder).as_posix()), _shard_metadata(table)
-            same = noted in (None, _file_digest(path)) and all(
+            recorded_digest, label = digests.get(path.relative_to(self.folder).as_posix()), _shard_metadata(table)
+            is_same_shard = recorded_digest in (None, _file_digest(path)) and all(
                 label[k] == required_metadata[k] for k in ("campaign", "cell", "shard")
             )
-            short = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
-                *stored_statistics(table)
+            is_incomplete = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
+                *stored_statistic_groups(table)
             }
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
-        if not same or len(table) > n_rows:
+        if not is_same_shard or len(table) > n_rows:
             return "damaged"
-        return "short" if short else "whole"
+        return "incomplete" if is_incomplete else "complete"
 
     def quarantine_shard(self, cell: int, shard: int) -> Path:
         """New path of a damaged shard, after it is renamed so that the user can inspect it."""
@@ -253,7 +253,7 @@ class CampaignFolder:
         """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            require_single_name(self.folder, LOCK_FILE)  # the library may empty the file
+            require_no_link(self.folder, LOCK_FILE)  # the library may empty the file
             lock = FileLock(self.folder / LOCK_FILE, blocking=False)
             try:
                 lock.acquire()
@@ -275,7 +275,7 @@ class CampaignFolder:
             raise interruption_error(self.folder, reason, cure) from None
 
 
-def stored_statistics(table: pa.Table) -> list[str]:
+def stored_statistic_groups(table: pa.Table) -> list[str]:
     """Names of the groups of results in the rows of a shard, from the metadata of its file."""
     return _shard_metadata(table)["statistics"].split()
 

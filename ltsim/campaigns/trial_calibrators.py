@@ -18,7 +18,7 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT
-from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion_design
@@ -29,10 +29,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certified_lengths
 
-MIN_SUSPECT_DEVIATION_M = 0.6e-3
+MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
 """Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
-`MIN_SUSPECT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross errors."""
-MIN_SUSPECT_RATIO = 10.0
+`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross
+errors."""
+MIN_GROSS_ERROR_DISPLACEMENT_RATIO = 10.0
 """Ratio of the largest to the median displacement of the measured points of a trial from their nominal positions, above
 which the trial may contain a gross error."""
 
@@ -77,14 +78,16 @@ class CalibratedBatch:
 
     @classmethod
     def from_failed_trials(
-        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
+        cls, true_network: TrueNetwork, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBatch:
         """Results for trials without a solution: all estimates are NaN, and the status is `failed`."""
-        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, n_trials), np.nan)
-        points = np.full((*truth.state.target_points.shape[:2], n_trials), np.nan)
+        instrument_values = np.full(
+            (len(true_network.recording.instruments), construction.n_parameters, n_trials), np.nan
+        )
+        points = np.full((*true_network.state.target_points.shape[:2], n_trials), np.nan)
         effect_values = np.full((sum(len(e.parameters) for e in effects), n_trials), np.nan)
         is_lost = np.full(n_trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
-        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in truth.reflector_masks}
+        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in true_network.reflector_masks}
         return cls(
             instrument_values,
             instrument_values.copy(),
@@ -116,7 +119,7 @@ class CalibratedBatch:
 class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
-    truth: CellTruth
+    true_network: TrueNetwork
     """True network geometry of the cell whose trials are calibrated."""
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
@@ -125,8 +128,8 @@ class TrialCalibrator:
     method: str = "network"
     """Name of the method in the campaign file."""
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; trials whose index is not in `trial_numbers` may be NaN."""
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; trials whose index is not in `trial_indices` may be NaN."""
         raise NotImplementedError
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
@@ -137,9 +140,9 @@ class TrialCalibrator:
         return float("nan")
 
 
-def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) -> Recording:
+def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial: int) -> Recording:
     """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
-    recording = truth.recording.with_readings(truth.trial_readings(trial_batch, trial))
+    recording = true_network.recording.with_readings(true_network.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
     return with_certified_lengths(
         recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
@@ -159,20 +162,20 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - reference_points) ** 2)))
 
 
-def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[Bools, Floats]:
+def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -> tuple[Bools, Floats]:
     """Mask (sets, targets) of the targets measured completely in each set of pointings, and weights (pointings,).
 
     The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (pointings,) is the set
     of each pointing.
     """
-    recording, targets = truth.recording, len(truth.recording.targets)
-    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.is_recorded_observable.all())
+    recording, targets = true_network.recording, len(true_network.recording.targets)
+    is_complete = np.asarray(recording.is_measured.all(axis=1) & true_network.is_recorded_observable.all())
     key = set_numbers * targets + recording.target
     n_members = np.bincount(key[is_complete], minlength=(int(set_numbers.max()) + 1) * targets)
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
-def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
+def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
     """Mask (trials,) of the trials that may contain a gross error, so that the full solver must solve them.
 
     `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points`, (pointings, 3,
@@ -182,10 +185,10 @@ def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bool
     miss = reading_deviations * np.stack(
         [np.ones_like(horizontal), horizontal, np.sqrt(np.sum(local_points**2, axis=1))], axis=1
     )
-    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_SUSPECT_DEVIATION_M
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_GROSS_ERROR_DISPLACEMENT_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
-        far[trial] = size.max() > MIN_SUSPECT_RATIO * np.median(size)
+        far[trial] = size.max() > MIN_GROSS_ERROR_DISPLACEMENT_RATIO * np.median(size)
     return far
 
 
@@ -198,14 +201,16 @@ class SerialCalibrator(TrialCalibrator):
     deviations of the estimates are returned in both cases.
     """
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; only the trials with the indices `trial_numbers` are computed."""
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; only the trials with the indices `trial_indices` are computed."""
         calibrated = CalibratedBatch.from_failed_trials(
-            self.truth, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
+            self.true_network, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
-        for trial in trial_numbers.tolist():
+        for trial in trial_indices.tolist():
             try:
-                adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, trial_batch, trial))
+                adjustment, values, sigma = self.adjust_recording(
+                    recording_of_trial(self.true_network, trial_batch, trial)
+                )
             except LtsimError:
                 continue
             if adjustment is None or not np.all(np.isfinite(values)):
@@ -219,7 +224,7 @@ class SerialCalibrator(TrialCalibrator):
                     adjustment.state.extra_parameters
                 ).items():
                     calibrated.incidence_parameters[name][:, trial] = parameters
-            true = self.truth.state.target_points
+            true = self.true_network.state.target_points
             calibrated.target_errors[:, :, trial] = align_targets(adjustment, true) - true
             calibrated.chi2[trial], calibrated.status_indices[trial] = (
                 adjustment.chi2,
@@ -255,16 +260,18 @@ class BatchCalibrator(TrialCalibrator):
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
         """Full solver for trials that the batch cannot solve, and for verification."""
-        return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
+        return SerialCalibrator(self.true_network, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
         """Nominal network, whose inverted normal matrix is used to adjust all trials."""
-        truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
-        program, recorded = truth.chain_program(built), truth.is_recorded_observable
-        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
+        true_network, built = self.true_network, self.construction if self.method == "network" else ideal_construction()
+        program, recorded = true_network.chain_program(built), true_network.is_recorded_observable
+        return BatchNetwork(
+            true_network.recording, true_network.state, built, program, self.effects, is_adjusted_observable=recorded
+        )
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
         network, fit = (
             self.batch_network,
@@ -278,14 +285,14 @@ class BatchCalibrator(TrialCalibrator):
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBatch:
-        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_numbers`, if given."""
-        trial_numbers = np.arange(len(trial_batch.trials)) if trial_numbers is None else trial_numbers
-        calibrated, good = self.calibrate_batch(trial_batch, trial_numbers)
-        is_sufficient = good & ~suspect_trial_mask(
-            trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
+    def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints | None = None) -> CalibratedBatch:
+        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_indices`, if given."""
+        trial_indices = np.arange(len(trial_batch.trial_numbers)) if trial_indices is None else trial_indices
+        calibrated, good = self.calibrate_batch(trial_batch, trial_indices)
+        is_sufficient = good & ~possible_gross_error_mask(
+            trial_batch.reading_deviations, self.true_network.sightings.local_points[:, :, None]
         )
-        single_trials = trial_numbers[~is_sufficient[trial_numbers]]
+        single_trials = trial_indices[~is_sufficient[trial_indices]]
         per_trial = self.serial_calibrator.calibrate(trial_batch, single_trials) if len(single_trials) else calibrated
         for trial in single_trials.tolist():
             calibrated.copy_results_of_trial(trial, per_trial, trial)
@@ -307,7 +314,7 @@ class BatchCalibrator(TrialCalibrator):
             np.abs(serial_batch.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
-        truth = self.truth.state.target_points
+        truth = self.true_network.state.target_points
         batch = truth + results.target_errors[:, :, trial]
         gap = (
             np.abs(align_to_points(truth + serial_batch.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
@@ -320,7 +327,7 @@ class BatchCalibrator(TrialCalibrator):
         start, end = self.batch_network.block_end_indices[:2]
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
-        points = self.truth.state.target_points
+        points = self.true_network.state.target_points
         datum = InnerDatum.from_columns(
             rigid_motion_design(points, points.mean(axis=0)), columns, covariance.__matmul__
         )

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.campaigns.cloud_kernels import (
     MICROMETRES_PER_METRE,
     add_squared_errors,
-    add_station_means,
+    add_weighted_points,
     align_rigidly,
     coordinate_criterion,
     distance_criterion,
@@ -21,13 +21,13 @@ from ltsim.campaigns.cloud_kernels import (
 from ltsim.campaigns.columns import ResultColumns
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, measured_targets_and_weights
-from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
-MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
+MAX_COLLINEAR_SPREAD_RATIO = 1e-3
 """Largest ratio of the spread of targets perpendicular to a line to their spread along the line, at which they do not
 determine the rotation about the line. Such targets do not determine a frame.
 """
@@ -40,18 +40,18 @@ class TrialEvaluator:
     Quantities that do not depend on the method are computed once per batch of trials.
     """
 
-    truth: CellTruth
+    true_network: TrueNetwork
     """True network geometry of the trials."""
 
     @cached_property
-    def _mean_weights(self) -> tuple[Bools, Floats]:
+    def _measured_targets_and_weights(self) -> tuple[Bools, Floats]:
         """Mask (stations, targets) of completely measured targets, and weights (pointings,) in their mean points."""
-        return measured_targets_and_weights(self.truth, self.truth.recording.station)
+        return measured_targets_and_weights(self.true_network, self.true_network.recording.station)
 
     @property
     def is_measured(self) -> Bools:
         """Mask (stations, targets) of the targets that each station measured completely."""
-        return self._mean_weights[0]
+        return self._measured_targets_and_weights[0]
 
     @cached_property
     def has_criteria(self) -> bool:
@@ -63,17 +63,17 @@ class TrialEvaluator:
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
-    def has_frame(self) -> Bools:
+    def is_frame_determined(self) -> Bools:
         """Mask (stations,) of stations whose targets determine a frame; only these are compared with the truth."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
         """Mask (target sets,) of the sets of targets, given as masks (target sets, targets), that determine a frame."""
         return determines_pose(
-            self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+            self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_COLLINEAR_SPREAD_RATIO
         )
 
-    def station_clouds(
+    def mean_points_by_station(
         self,
         reading_deviations: Floats,
         construction: GeometricErrorModel | None = None,
@@ -85,16 +85,22 @@ class TrialEvaluator:
         (pointings, 3, trials) are readings minus nominal readings. The readings are corrected by the parameters
         `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model.
         """
-        recording, trials = self.truth.recording, reading_deviations.shape[2]
+        recording, trials = self.true_network.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
             construction, parameter_values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(reading_deviations.shape), np.zeros((*self.is_measured.shape, 3, trials))
         compute_points(
-            self.truth.chain_program(construction), recording.instrument, reading_deviations, parameter_values, points
+            self.true_network.chain_program(construction),
+            recording.instrument,
+            reading_deviations,
+            parameter_values,
+            points,
         )
-        add_station_means(points, recording.station, recording.target, self._mean_weights[1], clouds)
+        add_weighted_points(points, recording.station, recording.target, self._measured_targets_and_weights[1], clouds)
         transform_to_network(
-            clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions
+            clouds,
+            np.ascontiguousarray(self.true_network.state.station_rotations),
+            self.true_network.state.station_positions,
         )
         return clouds
 
@@ -121,10 +127,10 @@ class TrialEvaluator:
 
     def _true_targets(self, n_trials: int) -> Floats:
         """True positions of the targets for each of `n_trials` trials, (targets, 3, trials) [m]."""
-        points = self.truth.state.target_points
+        points = self.true_network.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
-    def cloud_error(self, clouds: Floats) -> Floats:
+    def measured_point_error(self, clouds: Floats) -> Floats:
         """Rms distance (trials,) [um] between measured and true targets, after a rigid fit of each station's points.
 
         `clouds` (stations, targets, 3, trials) [m] are the points of each station. Stations whose targets determine no
@@ -133,12 +139,14 @@ class TrialEvaluator:
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
         aligned = np.empty_like(truth)
-        for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
+        for cloud, visible in zip(
+            clouds[self.is_frame_determined], self.is_measured[self.is_frame_determined], strict=True
+        ):
             align_rigidly(cloud, truth, visible, aligned)
             count += add_squared_errors(aligned, truth, visible, total)
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
-    def target_error(self, points: Floats) -> Floats:
+    def adjusted_target_error(self, points: Floats) -> Floats:
         """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
 
         `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
@@ -158,13 +166,13 @@ class TrialEvaluator:
 
     def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
-        raw_clouds = self.station_clouds(trial_batch.reading_deviations)
-        perfect = self.station_clouds(
-            trial_batch.reading_deviations, self.truth.construction, trial_batch.instrument_values
+        raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
+        perfect = self.mean_points_by_station(
+            trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
         )
         columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
-        columns["error_raw_um"] = self.cloud_error(raw_clouds)
-        columns["error_true_parameters_um"] = self.cloud_error(perfect)
+        columns["error_raw_um"] = self.measured_point_error(raw_clouds)
+        columns["error_true_parameters_um"] = self.measured_point_error(perfect)
         return columns
 
     def method_columns(
@@ -183,13 +191,13 @@ class TrialEvaluator:
         deviation = trial_batch.reading_deviations
         if estimates.incidence_parameters:
             deviation = deviation.copy()
-            deviation[:, 0] -= self.truth.incidence_errors(estimates.incidence_parameters)
+            deviation[:, 0] -= self.true_network.incidence_errors(estimates.incidence_parameters)
         if effects:
             deviation = deviation - np.einsum(
-                "ncqb,qb->ncb", self.truth.effect_design(tuple(effects)), estimates.effect_values
+                "ncqb,qb->ncb", self.true_network.effect_design(tuple(effects)), estimates.effect_values
             )
-        corrected_clouds = self.station_clouds(deviation, construction, estimates.instrument_values)
+        corrected_clouds = self.mean_points_by_station(deviation, construction, estimates.instrument_values)
         columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
-        columns["error_calibrated_um"] = self.cloud_error(corrected_clouds)
-        columns["target_error_um"] = self.target_error(estimates.target_errors)
+        columns["error_calibrated_um"] = self.measured_point_error(corrected_clouds)
+        columns["target_error_um"] = self.adjusted_target_error(estimates.target_errors)
         return columns

@@ -184,7 +184,7 @@ def recover(
         if "absolute error difference" in table.headings:
             meaning = " ".join(table.meanings["absolute error difference"].split())
             terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
-        for sentence in result.comparison_sentences():
+        for sentence in result.unestimated_parameter_sentences():
             terminal.print_text(sentence)
     for sentence in result.failure_sentences():
         write_line(sentence, sys.stderr)
@@ -204,7 +204,7 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
     The run time is divided evenly among the test cases.
     """
     checks, unchecked = result.checks, result.unchecked_parameters
-    failed, seconds = len(result.failed_checks()), result.arrays.run_time
+    failed, seconds = len(result.failed_checks()), result.arrays.run_time_s
     seconds_text = f"{seconds / len(checks):.3f}"
     n_failures = 0 if result.allow_unchecked else len(unchecked)
     suite_counts = {

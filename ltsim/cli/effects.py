@@ -83,5 +83,5 @@ def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
 
 def _text_without_effect_column(table: Table) -> str:
     """Text of a table without its first column, the name of the effect."""
-    rows = [cells[1:] for cells in table.cells()]
+    rows = [cells[1:] for cells in table.displayed_cells()]
     return align_columns(table.headings[1:], rows, n_text_columns=len(table.headings) - 1)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from ltsim.core.errors import InputError, RecordError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.storage import (
     check_writable,
     complete_interrupted_moves,
@@ -193,7 +193,7 @@ def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOut
             raise RecordError(f"cannot be read ({problem.strerror})", file=problem.filename) from None
     if path.is_file():
         raise RecordError("exists with another content; choose another name, or replace it with --force", file=path)
-    names = listing([str(name) for name in existing], 3)
+    names = names_text([str(name) for name in existing], 3)
     raise RecordError(
         f"the folder contains {names} with another content; choose another folder, or replace them with --force",
         file=path,
@@ -245,7 +245,7 @@ def _check_no_foreign_files(folder: Path) -> None:
     foreign = sorted({p.name for p in files} - output_names)
     if foreign:
         raise RecordError(
-            f"the folder contains {listing(foreign, 3)}, which ltsim did not create; "
+            f"the folder contains {names_text(foreign, 3)}, which ltsim did not create; "
             "choose another folder, or use --force",
             file=folder,
         )
@@ -267,7 +267,7 @@ def _result_and_companion_names(file: Path) -> set[str]:
 
 def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
     raise RecordError(
-        f"the folder contains {listing(existing_names, 3)}, which this command did not write or which was changed "
+        f"the folder contains {names_text(existing_names, 3)}, which this command did not write or which was changed "
         "since; choose another folder, or use --force",
         file=folder,
     )

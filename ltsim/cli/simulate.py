@@ -108,15 +108,15 @@ def simulate(
         return
     if out is None:
         raise InputError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
-    from ltsim.simulation.truth import nominal_csv
+    from ltsim.simulation.truth import nominal_points_csv
 
     recording, simulated_truth = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
-    nominal_points_csv = nominal_csv(simulated_truth) if nominal is not None else ""
+    nominal_content = nominal_points_csv(simulated_truth) if nominal is not None else ""
     outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, recording)}
     if truth is not None:
         outputs[truth] = partial(lt.write, simulated_truth)
     if nominal is not None:
-        outputs[nominal] = partial(write_text, text=nominal_points_csv)
+        outputs[nominal] = partial(write_text, text=nominal_content)
     write_outputs(outputs, force=force)
     terminal.print_notes(recording.notes)
     terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
@@ -186,11 +186,11 @@ def inject(
 
 
 def _run_injection_curve(
-    terminal: Terminal, recording: Recording, effect_text: str, file: Path | None, options: dict[str, Any]
+    terminal: Terminal, recording: Recording, effect_specification: str, file: Path | None, options: dict[str, Any]
 ) -> None:
     """Detection curve of one effect, printed and, if a file is given, written as CSV."""
     with terminal.show_progress("injecting and diagnosing"):
-        detection_curve = lt.injection_curve(recording, effect_text, **options)
+        detection_curve = lt.injection_curve(recording, effect_specification, **options)
     table = detection_curve.table()
     terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
     terminal.print_text(detection_curve._lines()[0])

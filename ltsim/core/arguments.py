@@ -49,11 +49,11 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
     """
     for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
-        whole = isinstance(low, int)
-        is_number = not isinstance(value, bool) and isinstance(value, Integral if whole else Real) and isfinite(value)
+        number_type = Integral if isinstance(low, int) else Real
+        is_number = not isinstance(value, bool) and isinstance(value, number_type) and isfinite(value)
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
         if not (good or (value is None and name not in required_argument.split())):
-            kind = "a whole number" if whole else "a number"
+            kind = "a whole number" if number_type is Integral else "a number"
             raise InputError(f"{option_text(name)} is {value}, expected {kind}, {bounds_text(name)}")
 
 

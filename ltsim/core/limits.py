@@ -100,7 +100,7 @@ MAX_RESULT_LIST_ENTRIES = 10_000
 values of pointings are in tables. An entry takes 1 to 2 kB in a report.
 """
 
-MAX_RESULTS_OF_ALL_TASKS = 1_000
+MAX_UNCERTAINTY_TASK_RESULTS = 1_000
 """Largest number of results of all tasks of an evaluation of uncertainty; their correlations are in its result file,
 of at most `MAX_JSON_VALUES` values. The 10,000 trials of a result take 80 kB, and four copies of them are in memory.
 """
@@ -108,13 +108,13 @@ MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects of type B in an evaluation of uncertainty, and of effects that a method of a campaign
 estimates; each is linearised for all pointings. The catalogue has 60.
 """
-MAX_TRIALS_TIMES_RESULTS = 20_000_000
+MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS = 20_000_000
 """Largest product of the numbers of trials and of results in an evaluation of uncertainty; a trial of a result takes 16
 bytes."""
 
-MAX_SHARD_ROWS = 1_000_000
-"""Largest number of rows in a file of rows of a campaign: 65,536 trials with 15 methods. Equal rows take no space in
-the file, and 200 bytes each in memory.
+MAX_READ_SHARD_ROWS = 1_000_000
+"""Largest number of rows in a file of rows (shard) that is read; a campaign writes at most 65,536. Equal rows take no
+space in the file, and 200 bytes each in memory.
 """
 MAX_DATABASE_MEMORY_BYTES = 250 * BYTES_PER_MIB
 """Memory [bytes] of the database that reads the rows of a campaign; proportionally more for files of rows that together
@@ -173,7 +173,7 @@ MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
 """Largest size [bytes] of an OBJ or PLY file that is read without a separate process. A polygon with many corners takes
 360 bytes of memory for each byte of the file.
 """
-MAX_FLOOR_PARTS = 200
+MAX_FLOOR_PLAN_ELEMENTS = 200
 """Largest number of areas of a floor, of holes in one area, of keep-out areas and of doors; each is compared with all
 positions of tripods. A hall has tens.
 """

@@ -85,7 +85,7 @@ def count_text(n_items: int, singular: str, plural: str = "") -> str:
     return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
 
 
-def listing(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
+def names_text(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
     """List of names as text, `a, b and 3 more`; names after the first `max_items` are only counted."""
     if len(names) <= max_items:
         return ", ".join(names)

@@ -16,7 +16,7 @@ SEED_UPPER_BOUND = 2**32
 """Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose random numbers come from one stream. Another value would change all draws."""
-VALUES_PER_BATCH = 4096
+VALUES_PER_TRIAL_AND_BATCH = 4096
 """Number of values of each trial of a stream that are drawn at a time; together they take 8 MiB."""
 
 
@@ -78,8 +78,8 @@ def standard_normal_trials(
         for stream_number in np.unique(stream_numbers).tolist():
             in_stream = np.flatnonzero(stream_numbers == stream_number)
             generator = _stream_of_trials(seed, stream_number, *stream_key)
-            for first_value in range(0, n_values, VALUES_PER_BATCH):
-                n_batch_values = min(VALUES_PER_BATCH, n_values - first_value)
+            for first_value in range(0, n_values, VALUES_PER_TRIAL_AND_BATCH):
+                n_batch_values = min(VALUES_PER_TRIAL_AND_BATCH, n_values - first_value)
                 batch = generator.standard_normal((n_batch_values, TRIALS_PER_STREAM))
                 normal_numbers[first_value : first_value + n_batch_values, in_stream] = batch[
                     :, stream_columns[in_stream]

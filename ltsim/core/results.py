@@ -63,7 +63,7 @@ class Column:
         Number format for display; by default `n_digits` significant digits.
     sigma_column : str
         Name of the column with the standard deviation of this column; both are displayed in one cell, `1.23 +- 0.10`.
-    rounding_column : str
+    uncertainty_column : str
         Name of a column, such as U, whose second significant digit is the last displayed decimal of this column.
     unit : str
         Unit; by default the one in the name.
@@ -81,7 +81,7 @@ class Column:
     csv_format: str = ""
     display_format: str = ""
     sigma_column: str = ""
-    rounding_column: str = ""
+    uncertainty_column: str = ""
     unit: str = ""
     title: str = ""
     row_attribute: str = ""
@@ -106,7 +106,7 @@ class Column:
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
     def displayed_text(self, value: Any, sigma_or_uncertainty: Any = None) -> str:
-        """Displayed text of a value; `sigma_or_uncertainty` is the value in its `sigma_column` or `rounding_column`."""
+        """Displayed text of a value; `sigma_or_uncertainty` is the value in `sigma_column` or `uncertainty_column`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
@@ -117,7 +117,7 @@ class Column:
             return p_text(value)
         if self.sigma_column:
             return with_sigma(float(value), sigma_or_uncertainty)
-        if self.rounding_column and sigma_or_uncertainty and 0 < sigma_or_uncertainty < math.inf:
+        if self.uncertainty_column and sigma_or_uncertainty and 0 < sigma_or_uncertainty < math.inf:
             return unsigned_zero(f"{value:.{decimals_of_sigma(sigma_or_uncertainty)}f}")
         if self.display_format:
             return unsigned_zero(format(value, self.display_format))
@@ -141,7 +141,7 @@ def flag_columns(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
-def columns_of(model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]) -> tuple[Column, ...]:
+def model_columns(model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]) -> tuple[Column, ...]:
     """Columns for the fields of a pydantic model, with the descriptions of the fields as meanings.
 
     `names` lists the fields, separated by blanks; default all. `column_options` holds further arguments of the `Column`
@@ -203,12 +203,12 @@ class Table(ValueEquality):
         """Names of the columns."""
         return [column.name for column in self.columns]
 
-    def with_columns(self, names: str) -> Table:
+    def select_columns(self, names: str) -> Table:
         """Copy of the table with only the columns `names` (separated by blanks) and their uncertainty columns."""
         column_by_name = {column.name: column for column in self.columns}
         columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
         names_used = dict.fromkeys(
-            name for c in columns_used for name in (c.name, c.sigma_column or c.rounding_column) if name
+            name for c in columns_used for name in (c.name, c.sigma_column or c.uncertainty_column) if name
         )
         indices = [self.header.index(name) for name in names_used]
         rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
@@ -289,16 +289,16 @@ class Table(ValueEquality):
         """Meanings of the displayed columns by displayed title; columns without a meaning are omitted."""
         return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
-    def cells(self) -> list[list[str]]:
+    def displayed_cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        pairs = [(c, c.sigma_column or c.rounding_column) for c in self._displayed_columns]
+        pairs = [(c, c.sigma_column or c.uncertainty_column) for c in self._displayed_columns]
         return [[c.displayed_text(row[at[c.name]], row[at[p]] if p else None) for c, p in pairs] for row in self.rows]
 
     def text(self) -> str:
         """Aligned text of the table for a terminal: text flush left, numbers flush right."""
-        kinds = [column.kind == "text" for column in self._displayed_columns]
-        return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
+        is_text = [column.kind == "text" for column in self._displayed_columns]
+        return align_columns(self.headings, self.displayed_cells(), [*is_text, False].index(False))
 
     def html_table(self) -> str:
         """HTML table of the first `MAX_NOTEBOOK_ROWS` rows for a notebook; texts are escaped."""
@@ -309,7 +309,7 @@ class Table(ValueEquality):
         )
         row_html = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
+            for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).displayed_cells()
         )
         n_more = len(self.rows) - MAX_NOTEBOOK_ROWS
         more_rows_html = f"<p>and {n_more} more rows: to_dataframe()</p>" if n_more > 0 else ""

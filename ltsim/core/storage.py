@@ -85,7 +85,7 @@ def write_to_device(path: Path, content: bytes) -> None:
         stream.write(content)
 
 
-def require_single_name(folder: Path, name: str) -> None:
+def require_no_link(folder: Path, name: str) -> None:
     """Check that a file in a folder, if it exists, is no link, neither symbolic nor hard; raises RecordError."""
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
@@ -203,14 +203,14 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         else:
-            _check_folder_above(path, path if is_folder else path.parent)
+            _check_nearest_folder_writable(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
     if not is_folder and not (is_device(path) and not path.is_symlink()):
         path_in_folder(path.parent, path.name)
 
 
-def _check_folder_above(path: Path, folder: Path) -> None:
+def _check_nearest_folder_writable(path: Path, folder: Path) -> None:
     """Check that files can be created in the first existing folder from `folder` upwards; raises OSError otherwise."""
     while not os.path.lexists(folder):
         folder = folder.parent

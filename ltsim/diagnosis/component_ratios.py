@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
@@ -51,7 +51,7 @@ def best_component_ratio(
         if not step.any():
             break
         previous, ratio = ratio, step / np.linalg.norm(step)
-        if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
+        if np.abs(ratio - previous).max() < SQRT_MACHINE_EPSILON:
             break
     ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), LAW_COMPONENT_RATIO_DECIMALS)
     component_gram = np.einsum("i,iajb,j->ab", ratio, products, ratio)

@@ -22,7 +22,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import random_stream
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
@@ -73,7 +73,7 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
         np.add.at(
             before, pointing[rows], _normalised_errors_on_fold(space.whitened_residuals[rows], values, vectors) ** 2
         )
-        count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
+        count += len(rows) - int(np.sum(values >= 1.0 - NORMAL_EQUATIONS_TOLERANCE))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
             remaining = space.whitened_residuals - space.project(_reading_shift_by_selected_model(space, fold_search))
@@ -105,7 +105,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
     are left out.
     """
     along = eigenvectors.T @ residual
-    is_predicted = eigenvalues < 1.0 - MAX_SOLUTION_ROUNDING_ERROR
+    is_predicted = eigenvalues < 1.0 - NORMAL_EQUATIONS_TOLERANCE
     factors = np.where(is_predicted, 1.0 / np.sqrt(np.where(is_predicted, 1.0 - eigenvalues, 1.0)), 0.0)
     errors: Floats = residual + eigenvectors @ ((factors - 1.0) * along)
     return errors

@@ -18,7 +18,7 @@ from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_de
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import UndetectableEntry
@@ -47,7 +47,7 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
     for effects in catalogue_designs.effects_grouped_by_family():
         rows = _detectability_of_effects(space, effects).table()
         size_ratios = np.array([row.median_size / row.plausible_size for row in rows])
-        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
+        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + NORMAL_EQUATIONS_TOLERANCE))[0])
         if size_ratios[best] < MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
@@ -70,7 +70,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
             norm = np.linalg.norm(designs, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
             information, share, rank = visible_information(
-                grams / (unit[:, :, None] * unit[:, None, :]), norm, MAX_SOLUTION_ROUNDING_ERROR
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, NORMAL_EQUATIONS_TOLERANCE
             )
             visible_effects += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(visible_effects, len(effects))

@@ -33,7 +33,7 @@ from ltsim.calibration.evidence import (
     score_weights_and_constants_by_size,
 )
 from ltsim.core.arrays import Bools, Floats, Floats32, Ints, batches
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.outlier import READING_COLUMN_BY_OBSERVABLE, Outlier
 from ltsim.recordings.recording import OBSERVABLES
@@ -42,11 +42,11 @@ from ltsim.solve.design import to_dense
 
 def index_of_largest(log_evidences: Floats) -> int:
     """Index of the largest log evidence; if several values are equal, as on a plateau, their middle index."""
-    ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - MAX_SOLUTION_ROUNDING_ERROR)
+    ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - NORMAL_EQUATIONS_TOLERANCE)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(log_evidences: Floats, tie_tolerance: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
+def ranked_indices(log_evidences: Floats, tie_tolerance: float = NORMAL_EQUATIONS_TOLERANCE) -> Ints:
     """Indices in the order of decreasing log evidence; values that differ by up to `tie_tolerance` keep their order."""
     falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -106,7 +106,7 @@ class EvidenceCalculator:
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, first_indices), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_largest(parts)
-                if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR * max(1.0, abs(values[i])):
+                if parts[top] > values[i] + NORMAL_EQUATIONS_TOLERANCE * max(1.0, abs(values[i])):
                     best[i], values[i] = neighbours[top], parts[top]
                     moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))

@@ -12,7 +12,7 @@ from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, number_text
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_EFFECT_TYPES
 from ltsim.diagnosis.detectability import (
     MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO,
@@ -248,7 +248,7 @@ class SelectedModelFit:
         use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
+        min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), SQRT_MACHINE_EPSILON)
         n_readings = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
         if n_readings > MAX_LISTED_ITEMS:
             return ""
@@ -315,7 +315,7 @@ class SelectedModelFit:
         adjustment, which = self.selection_state.baseline_adjustment, self._instrument_index(effect)
         prior = prior_sigmas(self.selection_state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
-        factors = 1.0 / np.maximum(1.0 - variance / prior**2, MAX_ROUNDING_ERROR)
+        factors = 1.0 / np.maximum(1.0 - variance / prior**2, SQRT_MACHINE_EPSILON)
         value, sigma = adjustment.state.instrument_parameters[which] * factors, np.sqrt(variance * factors)
         indices = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
         return tuple(

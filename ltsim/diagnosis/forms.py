@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.component_ratios import best_component_ratio
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
@@ -242,7 +242,7 @@ def _piecewise_forms(
         )
         atom_indices.append(index_of_largest(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * log_price
-        if value > best + MAX_SOLUTION_ROUNDING_ERROR:
+        if value > best + NORMAL_EQUATIONS_TOLERANCE:
             best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
         [law.with_steps_and_ramps([atoms[i] for i in sorted(atom_indices[:n_selected])])], conditioning_model

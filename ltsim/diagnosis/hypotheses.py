@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import LOG_EFFECT_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest
 from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
 from ltsim.diagnosis.schema import EquivalentEffect
@@ -113,7 +113,7 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_score
         eigenvalues, eigenvectors = np.linalg.eigh(gram * np.outer(unit, unit))
-        is_visible = eigenvalues > MAX_SOLUTION_ROUNDING_ERROR
+        is_visible = eigenvalues > NORMAL_EQUATIONS_TOLERANCE
         return (
             0.5
             * RELATIVE_MODEL_ERROR

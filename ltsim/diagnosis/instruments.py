@@ -26,7 +26,7 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import MIN_EFFECT_LOG_EVIDENCE, log_prior_of_each_explanation
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
@@ -197,7 +197,7 @@ def constants_contradicting_expectation(
         )
         log_evidences = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
-            (information_of_change > MAX_ROUNDING_ERROR)
+            (information_of_change > SQRT_MACHINE_EPSILON)
             & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.possible_changes[k]
@@ -217,7 +217,7 @@ def constants_contradicting_expectation(
         key=lambda k: -odds_by_change[k][k],
     ):
         square = information[np.ix_([*contradictions, k], [*contradictions, k])]
-        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MAX_SOLUTION_ROUNDING_ERROR:
+        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_EQUATIONS_TOLERANCE:
             contradictions.append(k)
     if not contradictions:
         return ContradictingConstants()
@@ -373,7 +373,7 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(expected_covariance - np.diag(spread))) - 1.0
         )  # variance of the mean, without the specification of the manufacturer
-        variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
+        variances = n_calibrations / np.maximum(precision, SQRT_MACHINE_EPSILON)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]

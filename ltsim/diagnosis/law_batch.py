@@ -113,7 +113,7 @@ class RegressorColumns:
         self.is_cached = False
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
-    def columns_of(self, regressor_range: slice) -> Floats32:
+    def model_columns(self, regressor_range: slice) -> Floats32:
         """The k columns (n, d k) of each of d regressors in a range, for n pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
@@ -202,7 +202,7 @@ class LawBatch:
         it is too large for a law that is correlated with them. The laws with the largest evidence are evaluated again
         without this approximation.
         """
-        columns = self.regressor_columns.columns_of(regressor_range)
+        columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)

@@ -15,7 +15,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.diagnosis.noise_centring import with_estimated_centring
 from ltsim.diagnosis.noise_groups import (
@@ -137,7 +137,7 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     least_step = float(np.log(GROUP_VARIANCE_FACTORS[1] / GROUP_VARIANCE_FACTORS[0]))
     for _ in range(N_VARIANCE_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
         rise = reml_gain(scale * np.expm1(most + least_step)) - reml_gain(scale * np.expm1(most))
-        is_larger = rise > MAX_SOLUTION_ROUNDING_ERROR
+        is_larger = rise > NORMAL_EQUATIONS_TOLERANCE
         if not is_larger.any():
             break
         most = np.where(is_larger, 2.0 * most, most)

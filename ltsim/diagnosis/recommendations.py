@@ -2,7 +2,7 @@
 
 from ltsim.adjustment.identification.recommendations import recommendation_at_place
 from ltsim.core.errors import ModelError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect
 
@@ -19,12 +19,12 @@ def inspection_action(finding: Finding) -> str:
     """Sentence on the part of the set-up to inspect or to correct because of a finding."""
     scope = finding.where
     trackers = [f"instrument {name}" for name in scope.instruments]
-    place = listing([*trackers, *scope.stations, *scope.targets])
+    place = names_text([*trackers, *scope.stations, *scope.targets])
     if is_name_exchange(finding):
-        names = listing(scope.targets)
+        names = names_text(scope.targets)
         if not scope.stations:
             return f"Exchange the reference coordinates of {names} in setup.toml."
-        return f"Exchange the names {names} at {listing(scope.stations)}."
+        return f"Exchange the names {names} at {names_text(scope.stations)}."
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
     if finding.effect in CAUSE_KIND_BY_EFFECT_NAME and place:
@@ -32,7 +32,7 @@ def inspection_action(finding: Finding) -> str:
         return recommendation_at_place(kind, [*trackers, *scope.stations], scope.targets)
     if finding.concerns_reference_value:
         return f"Check the {finding.carrier} ({place or 'all of them'})."
-    covariates_text = f" with {listing(scope.covariates)}" if scope.covariates else ""
+    covariates_text = f" with {names_text(scope.covariates)}" if scope.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
     title = effect_title(finding.effect) if finding.is_catalogued else f"a {change}"
     action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"

@@ -8,7 +8,7 @@ from pydantic import Field
 from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
-from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
+from ltsim.core.results import Column, Table, model_columns, number_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.linear_effect import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
@@ -261,6 +261,6 @@ FIT_TABLE = Table(
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
     "effects that are not detectable in this network",
-    columns_of(UndetectableEntry, undetected_target_error_um={"n_digits": 2}, detectable_at_factor={"n_digits": 2}),
+    model_columns(UndetectableEntry, undetected_target_error_um={"n_digits": 2}, detectable_at_factor={"n_digits": 2}),
 )
-DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))
+DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", model_columns(DetectableEntry))

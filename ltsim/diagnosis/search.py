@@ -21,7 +21,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
-from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR, NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.catalogue_designs import (
     ORDINARY_CALIBRATION_EFFECT_TYPES,
     CatalogueDesigns,
@@ -396,4 +396,4 @@ class Searcher:
 def _best_model(models: Sequence[Model]) -> Model:
     """Model with the largest log evidence; the first one if several are equal."""
     most = max(model.penalised_log_evidence for model in models)
-    return next(model for model in models if model.penalised_log_evidence >= most - MAX_SOLUTION_ROUNDING_ERROR)
+    return next(model for model in models if model.penalised_log_evidence >= most - NORMAL_EQUATIONS_TOLERANCE)

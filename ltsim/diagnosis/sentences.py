@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
-from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
+from ltsim.core.notation import MAX_LISTED_ITEMS, names_text, with_sigma
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
@@ -57,9 +57,9 @@ def _estimate_text(parameter: ParameterEstimate) -> str:
 def place_text(scope: FindingScope) -> str:
     """Text of stations, targets, instruments and observables of a finding, such as ``at station S3 in distance``."""
     kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
-    place_texts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
+    place_texts = [f"{kind}{'s' if len(names) > 1 else ''} {names_text(names)}" for kind, names in kinds if names]
     if scope.observables:
-        place_texts.append(f"in {listing(scope.observables)}")
+        place_texts.append(f"in {names_text(scope.observables)}")
     return " ".join(place_texts) or "in the whole recording"
 
 
@@ -128,7 +128,7 @@ def law_sentence(
 
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
     """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
-    covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
+    covariates = names_text([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" It depends on {covariates}." if covariates else ""
     present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
     return f"{present}{dependence} The most probable description is {noise_text}."

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
@@ -177,7 +177,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
         values[square < MIN_SWITCHED_MEAN_SQUARE_RATIO] = -np.inf
         state = states[index_of_largest(values)]
         total = float(log_sum_exp(values)) - turn * price
-        if total > value + MAX_SOLUTION_ROUNDING_ERROR:
+        if total > value + NORMAL_EQUATIONS_TOLERANCE:
             best, value, taken = state, total, turn
     return best, value, taken
 

@@ -21,7 +21,7 @@ from ltsim.adjustment.identification.recommendations import corrected_faults
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
@@ -332,5 +332,5 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.detectable_um[1] for d in displacements)
         return f"no point moved; a displacement of {sure:.0f} um of any point would be detected with 80 % probability"
     names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
-    names = listing([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
+    names = names_text([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
     return f"{len(names_by_size)} of {len(displacements)} points moved: {names}"

@@ -20,8 +20,8 @@ from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air, displ
 from ltsim.calibration.identified_network import network_uncertainty_factor
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
-from ltsim.core.notation import listing
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.notation import names_text
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
 from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_indices
 from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observation_uncertainty_sources
@@ -112,7 +112,7 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
     }
     if not changed:
         return epoch, []
-    renaming_text = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
+    renaming_text = names_text([f"'{name}' and '{first}'" for name, first in changed.items()])
     note = f"names that differ only in case, blanks or leading zeros are the same point: {renaming_text}"
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
@@ -128,7 +128,7 @@ def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: C
     free = compare_with_free_motions()
     if 2 * len(free.moved_points) > n_points:
         return comparison
-    moved_names_text = f": {listing(list(free.moved_points))}" if free.moved_points else ""
+    moved_names_text = f": {names_text(list(free.moved_points))}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option_text('free=True')}, "
         f"{len(free.moved_points)} of {n_points} points moved{moved_names_text}"
@@ -298,7 +298,7 @@ def _epoch_difference(
             off = np.linalg.norm(after - before, axis=1)
             # A displaced point must not rotate the other points.
             previous, weights = weights, stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
-            if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
+            if np.abs(weights - previous).max() < SQRT_MACHINE_EPSILON * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first_epoch.displacements_per_common_error @ second_epoch.displacements_per_common_error.T @ big.T
@@ -306,7 +306,7 @@ def _epoch_difference(
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_with_rotations_about_centre(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > MAX_ROUNDING_ERROR * np.abs(before - centre).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > SQRT_MACHINE_EPSILON * np.abs(before - centre).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
@@ -340,7 +340,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((eigenvalues < MAX_ROUNDING_ERROR * eigenvalues[-1]).sum())
+    defect = int((eigenvalues < SQRT_MACHINE_EPSILON * eigenvalues[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     centre = epoch.points.mean(axis=0)
@@ -352,7 +352,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     moving = np.flatnonzero(np.linalg.norm(motions, axis=0) > 0)
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
-    still = directions[:, variance < MAX_ROUNDING_ERROR * scale.max() ** 2]
+    still = directions[:, variance < SQRT_MACHINE_EPSILON * scale.max() ** 2]
     free_motions = np.zeros((6, still.shape[1]))
     free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:
@@ -385,7 +385,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
     """Sentence on the names that are exchanged in the second epoch; `point_order` is from `exchanged_name_order`."""
     changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
-    names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
+    names_changed = names_text([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 

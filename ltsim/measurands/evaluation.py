@@ -9,7 +9,7 @@ from ltsim.calibration.reported_uncertainty import MIN_RELATIVE_HIDDEN_DISPLACEM
 from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.limits import MAX_RESULTS_OF_ALL_TASKS
+from ltsim.core.limits import MAX_UNCERTAINTY_TASK_RESULTS
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, TaskOutput
 from ltsim.measurands.propagation import (
@@ -210,11 +210,11 @@ def evaluate_tasks_on_coordinates(coordinates: EpochCoordinates, tasks: Tasks) -
 
 
 def _require_few_results(tasks: Tasks) -> None:
-    """Check of the number of results of all tasks; raises ModelError above `MAX_RESULTS_OF_ALL_TASKS`."""
+    """Check of the number of results of all tasks; raises ModelError above `MAX_UNCERTAINTY_TASK_RESULTS`."""
     n_results = sum(len(Measurand(task, np.zeros(0, dtype=np.int64)).outputs) for task in tasks.task)
-    if n_results > MAX_RESULTS_OF_ALL_TASKS:
+    if n_results > MAX_UNCERTAINTY_TASK_RESULTS:
         raise ModelError(
-            f"the tasks have {n_results} results, expected at most {MAX_RESULTS_OF_ALL_TASKS}: "
+            f"the tasks have {n_results} results, expected at most {MAX_UNCERTAINTY_TASK_RESULTS}: "
             "divide them among task files"
         )
 

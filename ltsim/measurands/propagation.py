@@ -20,9 +20,9 @@ from scipy import optimize, special
 from ltsim.adjustment import adjust_from_state
 from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.equality import ValueEquality
-from ltsim.core.limits import MAX_TRIALS_TIMES_RESULTS
+from ltsim.core.limits import MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS
 from ltsim.core.randomness import random_stream
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.inputs import STREAM_KEY_BY_SOURCE, TaskInputs
 from ltsim.measurands.measurands import Measurand
@@ -225,7 +225,9 @@ def run_monte_carlo(
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage_probability)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    max_trials = min(monte_carlo_settings.max_trials, MAX_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values))
+    max_trials = min(
+        monte_carlo_settings.max_trials, MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values)
+    )
     max_batches = max(max_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
         linear_uncertainty.sigma > 0
@@ -326,7 +328,7 @@ def _coverage_half_width(
     characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
-    if total_sigma == 0 or independent <= MAX_ROUNDING_ERROR * total_sigma**2:
+    if total_sigma == 0 or independent <= SQRT_MACHINE_EPSILON * total_sigma**2:
         return float(special.ndtri(0.5 + coverage_probability / 2)) * total_sigma
     frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / total_sigma**2, 0.0) * frequencies**2)

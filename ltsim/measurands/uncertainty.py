@@ -20,12 +20,12 @@ RESULTS_TABLE = Table(
     "results of the tasks",
     (
         *text_columns(task="name", result="name", unit="unit of all numbers in the row"),
-        Column("value", "estimate", csv_format=".9g", rounding_column="U"),
+        Column("value", "estimate", csv_format=".9g", uncertainty_column="U"),
         Column("u", "standard uncertainty", csv_format=".9g", display_format=".2g"),
-        Column("U", "expanded uncertainty for the coverage probability", csv_format=".9g", rounding_column="U"),
+        Column("U", "expanded uncertainty for the coverage probability", csv_format=".9g", uncertainty_column="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", csv_format=".9g", display_format=".2g"),
-        Column("mc_low", "lower limit of the interval by Monte Carlo", csv_format=".9g", rounding_column="U"),
-        Column("mc_high", "upper limit of the interval by Monte Carlo", csv_format=".9g", rounding_column="U"),
+        Column("mc_low", "lower limit of the interval by Monte Carlo", csv_format=".9g", uncertainty_column="U"),
+        Column("mc_high", "upper limit of the interval by Monte Carlo", csv_format=".9g", uncertainty_column="U"),
         Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
         *text_columns(
             judgement="accepted, rejected or undecided; empty without a tolerance",

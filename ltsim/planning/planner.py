@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Bools
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
@@ -97,7 +97,7 @@ class LayoutEvaluation(ValueEquality):
         return [
             f"{len(pairs)} marginal sight{'s' if many else ''} {'do' if many else 'does'} not count, because a tripod "
             f"{position_tolerance / MILLIMETRE:g} mm beside its planned position may lose {'them' if many else 'it'} "
-            f"(stations.position_tolerance_mm): {listing(pairs, MAX_NAMES_IN_RULE_TEXT)}."
+            f"(stations.position_tolerance_mm): {names_text(pairs, MAX_NAMES_IN_RULE_TEXT)}."
         ]
 
 
@@ -229,7 +229,7 @@ def _require_sight_of_every_target(survey: PlannedSurvey, visibility: Visibility
     if not len(unseen):
         return
     first = survey.target_names[unseen[0]]
-    named = listing([survey.target_names[t] for t in unseen], MAX_NAMES_IN_RULE_TEXT)
+    named = names_text([survey.target_names[t] for t in unseen], MAX_NAMES_IN_RULE_TEXT)
     reasons = "; ".join(
         f"{station} does not see {first}: {texts[unseen[0]]}"
         for station, texts in zip(survey.station_names, visibility.reason_texts(), strict=True)

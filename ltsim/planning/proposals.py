@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.candidates import list_text
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
-from ltsim.core.results import Column, Table, columns_of, text_columns
+from ltsim.core.results import Column, Table, model_columns, text_columns
 from ltsim.physics.effects import effect_title
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -65,7 +65,7 @@ class MeasurementProposalEntry(Entry):
 PROPOSALS_TABLE = Table(
     "next.csv",
     "proposals of further measurements in the order of benefit",
-    columns_of(
+    model_columns(
         MeasurementProposalEntry,
         "kind minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction "
         "separated_effects separates_all_effects "

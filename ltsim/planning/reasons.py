@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.coordinate_uncertainty import longest_range, relevant_air_uncertainty
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.planning.information import LayoutInformation
@@ -283,8 +283,8 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
         depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.target_points) - survey.target_points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
-                "body, within the tolerance of its mesh, and are treated as on its surface."
+                f"{names_text(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a "
+                "curved body, within the tolerance of its mesh, and are treated as on its surface."
             )
     sentences += plan.layout.blocked_sight_sentences()
     sentences += plan.layout.marginal_sight_sentences(site.position_tolerance)

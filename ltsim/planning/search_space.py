@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import InputError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.floor import (
@@ -195,7 +195,7 @@ class SearchSpace(ValueEquality):
                 "is" if len(deficient_names) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(deficient_names, MAX_NAMES_IN_RULE_TEXT)
+            named = names_text(deficient_names, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
@@ -212,7 +212,9 @@ class SearchSpace(ValueEquality):
                 if not ok
             ]
             if turned:
-                words = f"no fixed nest of {listing(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
+                words = (
+                    f"no fixed nest of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
+                )
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
@@ -250,16 +252,18 @@ class SearchSpace(ValueEquality):
         if within and self.obstacles:
             lie = "lies" if len(within) == 1 else "lie"
             bodies = self.obstacles.body_names_around(self.survey.target_points[held])
-            where = f"inside an obstacle{f' ({listing(bodies, MAX_NAMES_IN_RULE_TEXT)})' if bodies else ''}"
-            cure = f"{listing(within, MAX_NAMES_IN_RULE_TEXT)} {lie} {where}: move points or bodies"
+            where = f"inside an obstacle{f' ({names_text(bodies, MAX_NAMES_IN_RULE_TEXT)})' if bodies else ''}"
+            cure = f"{names_text(within, MAX_NAMES_IN_RULE_TEXT)} {lie} {where}: move points or bodies"
         heights = height_range_text(*self.head_heights)
-        return f"no place on the floor sees {listing(names, MAX_NAMES_IN_RULE_TEXT)}, from heads at {heights}; {cure}"
+        return (
+            f"no place on the floor sees {names_text(names, MAX_NAMES_IN_RULE_TEXT)}, from heads at {heights}; {cure}"
+        )
 
     def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
         """Names of the targets with too few sights from stations at these positions of a placement; empty for none."""
         deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
         return (
-            listing([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
+            names_text([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
             if len(deficient_names)
             else ""
         )

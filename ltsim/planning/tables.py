@@ -1,6 +1,6 @@
 """Data tables of plans; each declaration serves the CSV file, the data frame, the terminal and the page."""
 
-from ltsim.core.results import Column, Table, columns_of, flag_columns, number_columns, text_columns
+from ltsim.core.results import Column, Table, flag_columns, model_columns, number_columns, text_columns
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
@@ -96,17 +96,17 @@ TRADEOFF_TABLE = Table(
     "tradeoff.csv",
     "measuring procedures, each with its best layout",
     (
-        *columns_of(TradeoffEntry, "station_count faces repeats pointings hours"),
-        *columns_of(TradeoffEntry, "objective_value", objective_value={"title": "objective"}),
+        *model_columns(TradeoffEntry, "station_count faces repeats pointings hours"),
+        *model_columns(TradeoffEntry, "objective_value", objective_value={"title": "objective"}),
         Column(
             "point_error_um",
             "the objective in um, if it consists only of the error of the targets",
             title="weighted point error",
         ),
-        *columns_of(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
+        *model_columns(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
     ),
 )
-DETECTABLE_SIZES_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
+DETECTABLE_SIZES_TABLE = Table("effects.csv", "minimal detectable sizes of effects", model_columns(DetectableSize))
 TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
@@ -159,7 +159,7 @@ EXPECTED_CRITERIA_TABLE = Table(
     ),
 )
 CONFUSABLE_EFFECTS_TABLE = Table(
-    "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
+    "confusable.csv", "pairs of effects that the layout hardly distinguishes", model_columns(ConfusablePair)
 )
 PLAN_TABLES = (
     NOMINAL_POINTS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE,

@@ -13,7 +13,7 @@ from scipy.special import gammaincinv
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
@@ -184,7 +184,7 @@ class ToleranceCheck:
             return f"all tolerances are met, worst point {self.worst_point_values_text}"
         verb, named = (
             "is" if len(self.unseen_points) == 1 else "are",
-            listing(self.unseen_points, MAX_POINTS_IN_VERDICT),
+            names_text(self.unseen_points, MAX_POINTS_IN_VERDICT),
         )
         clauses = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
         if not self.error_by_point_m:

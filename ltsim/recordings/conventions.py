@@ -17,7 +17,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.limits import MAX_NETWORK_SETUPS, overridable_limit
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_rigidly, rotation_about_z
@@ -343,7 +343,7 @@ def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
     vertical_rows = np.flatnonzero(recording.is_along_standing_axis & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
         return ()
-    listed_rows = listing([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_NOTE)
+    listed_rows = names_text([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_NOTE)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import DEGREE
 from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
@@ -36,7 +36,7 @@ def _setups_text(recording: Recording) -> str:
     over_marks = f"{part_text} over {len({*marks_of_setups})} marks" if marks_of_setups else ""
     n_levelled = sum(s.levelled for s in setups.values())
     levelled_text = f"; {'all' if n_levelled == len(setups) else n_levelled or 'none'} levelled"
-    return f"{len(setups)}{over_marks} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled_text}"
+    return f"{len(setups)}{over_marks} ({names_text(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled_text}"
 
 
 def _pointings_text(recording: Recording) -> str:

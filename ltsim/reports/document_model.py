@@ -325,7 +325,9 @@ def table_blocks(
     is_text = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in headings]
     text_columns = is_text.index(False) if False in is_text else len(is_text)
     meanings = [table.meanings.get(head, "") for head in headings]
-    return [TableBlock(title, headings, table.cells(), text_columns, note, marked_rows, meanings, is_foldable)]
+    return [
+        TableBlock(title, headings, table.displayed_cells(), text_columns, note, marked_rows, meanings, is_foldable)
+    ]
 
 
 def _cell_text(value: Any) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
-from ltsim.core.notation import count_text as count_text, listing as listing
+from ltsim.core.notation import count_text as count_text, names_text as names_text
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_relation_text, two_sided_p_value
 
 if TYPE_CHECKING:

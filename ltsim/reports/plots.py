@@ -13,7 +13,7 @@ from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.campaigns.calibration_comparison import NewPointErrors
+from ltsim.campaigns.calibration_comparison import HeldOutPointErrors
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.results import PairedDifferences
 from ltsim.core.errors import ModelError
@@ -40,7 +40,7 @@ from ltsim.reports.sections.diagnosis import finding_figure
 from ltsim.reports.sections.simple_sections import uncertainty_budget_figure
 from ltsim.reports.verbs import View
 from ltsim.reports.workshop_scene import workshop_from_recording, workshop_from_scenario
-from ltsim.simulation.inject import DetectionCurve
+from ltsim.simulation.injector import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
 MAX_DRAWN_PROPOSALS = 12
@@ -140,9 +140,9 @@ def _(result: DetectionCurve) -> Figure:
 def _(result: Recovery) -> Figure:
     """Figure of a recovery: errors of each parameter divided by the declared sigmas, or by their rms without sigmas."""
     trials = result.arrays
-    if not trials.trials_with_result:
+    if not trials.available_trial_scores:
         raise ModelError("no trial of this recovery converged; there is no figure")
-    error = np.array([trial.estimates - trial.true_values for trial in trials.trials_with_result])
+    error = np.array([trial.estimates - trial.true_values for trial in trials.available_trial_scores])
     has_sigmas = np.isfinite(trials.z_scores).all()
     shown = trials.z_scores if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
@@ -160,7 +160,7 @@ def _(result: NextMeasurement) -> Figure:
 
 
 @figure_of.register
-def _(result: NewPointErrors) -> Figure:
+def _(result: HeldOutPointErrors) -> Figure:
     example = next(iter(result.errors.values()))
     rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors.items()}
     ends = {

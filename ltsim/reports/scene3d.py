@@ -12,7 +12,7 @@ from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import DEGREE
 from ltsim.reports import style
 from ltsim.reports.workshop_scene import WorkshopScene
@@ -358,7 +358,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if omitted_names:
-        legend_lines.append(f"omitted names: {listing(omitted_names, MAX_OMITTED_NAMES)}")
+        legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_OMITTED_NAMES)}")
 
 
 def _facing_axes(direction: Floats) -> Floats:

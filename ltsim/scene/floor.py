@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import InputError
-from ltsim.core.limits import MAX_FLOOR_PARTS
+from ltsim.core.limits import MAX_FLOOR_PLAN_ELEMENTS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
 from ltsim.scene.meshes import Obstacles
@@ -42,7 +42,7 @@ class FloorArea(TomlSection):
     """Name of the area in figures and messages."""
     corners_mm: PlanOutline
     """Coordinates x and y of the corners of the area, in order around it."""
-    holes_mm: Annotated[tuple[PlanOutline, ...], Field(max_length=MAX_FLOOR_PARTS)] = ()
+    holes_mm: Annotated[tuple[PlanOutline, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
     """Outlines of openings in the area, such as a pit."""
     height_mm: HeightRange | None = None
     """Lowest and highest height of the centre of the instrument's head in this area; default as for the whole floor."""
@@ -85,11 +85,11 @@ class Floor(TomlSection):
     height_mm: HeightRange | None = None
     """Lowest and highest height of the centre of the instrument's head; default the range of the scenario's
     stations."""
-    areas: Annotated[tuple[FloorArea, ...], Field(max_length=MAX_FLOOR_PARTS)] = ()
+    areas: Annotated[tuple[FloorArea, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
     """TOML tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of these areas."""
-    keep_outs: Annotated[tuple[FloorKeepOut, ...], Field(max_length=MAX_FLOOR_PARTS)] = ()
+    keep_outs: Annotated[tuple[FloorKeepOut, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
     """TOML tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
-    doors: Annotated[tuple[Door, ...], Field(max_length=MAX_FLOOR_PARTS)] = ()
+    doors: Annotated[tuple[Door, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
     """TOML tables `[[floor.doors]]`: doors in front of which no tripod may stand."""
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.physics import reflector_error_parameters
+from ltsim.simulation.physics import incidence_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_ROUNDING_STEP = 1e-4 * MILLIMETRE
@@ -64,7 +64,7 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
         given = {} if entry is None else entry.values
         mean = np.array([given.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
         if entry is None:
-            mean = reflector_error_parameters(scenario)
+            mean = incidence_error_parameters(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         counts[effect.name, effect.place_text] += 1
@@ -78,17 +78,19 @@ class StandardNormalSource:
 
     seed: int
     """Root seed of the campaign or recording."""
-    trials: Ints
+    trial_numbers: Ints
     """Numbers of the trials."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
         """Standard normal numbers, shape (n_values, trials), from the random stream of the purpose `stream_key`."""
-        return standard_normal_trials(self.seed, self.trials, n_values, *stream_key)
+        return standard_normal_trials(self.seed, self.trial_numbers, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
         """Sources for each trial of this source separately; they share a cache, so that each number is drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
-        return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
+        return [
+            _SingleTrialSource(self.seed, self.trial_numbers[[k]], together, k) for k in range(len(self.trial_numbers))
+        ]
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class _SingleTrialSource(StandardNormalSource):
 class TrialDraw:
     """Random values drawn for several trials; the last axis of each array has one entry per trial."""
 
-    trials: Ints
+    trial_numbers: Ints
     """Numbers of the trials."""
     instrument_values: Floats
     """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
@@ -157,12 +159,12 @@ class TrialDistributions:
         effect_values = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)
         sigma, count = self.noise_sigmas_with_effects(effect_values), len(self.sightings)
-        white = np.empty((count, len(OBSERVABLES), len(normal_source.trials)))
+        white = np.empty((count, len(OBSERVABLES), len(normal_source.trial_numbers)))
         for column, name in enumerate(OBSERVABLES):
             np.multiply(sigma[:, column], normal_source(count, *noise_key, name), out=white[:, column])
         errors = self._draw_instrument_values(normal_source) if instrument_values is None else instrument_values
         return TrialDraw(
-            normal_source.trials,
+            normal_source.trial_numbers,
             errors,
             effect_values,
             white,
@@ -171,7 +173,7 @@ class TrialDistributions:
 
     def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
         """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
-        instrument_values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trials), axis=2)
+        instrument_values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trial_numbers), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
             for k in np.flatnonzero(self.instrument_sigmas[i]):
@@ -182,7 +184,7 @@ class TrialDistributions:
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
         """True parameters of the effect `distribution`, shape (parameters, trials) [SI]."""
-        effect_values = np.repeat(distribution.parameter_means[:, None], len(normal_source.trials), axis=1)
+        effect_values = np.repeat(distribution.parameter_means[:, None], len(normal_source.trial_numbers), axis=1)
         for k in np.flatnonzero(distribution.parameter_sigmas):
             key = (
                 distribution.effect.name,
@@ -229,7 +231,7 @@ class TrialDistributions:
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
         """Certified lengths (lengths, trials) [m], computed with the true expansion coefficient and temperature."""
         lengths = self.reference_lengths
-        expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trials), axis=1)
+        expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trial_numbers), axis=1)
         for name, change in lengths.shared_error_changes.items():
             expansion_factors += (change / (lengths.lengths / lengths.expansion_factors))[:, None] * normal_source(
                 1, name

@@ -101,7 +101,7 @@ def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
 
 
-def reflector_error_parameters(scenario: Scenario) -> Floats:
+def incidence_error_parameters(scenario: Scenario) -> Floats:
     """Parameters [SI] of the effect `smr-incidence` for the range errors `smr.range_error_table_um` of a scenario."""
     table = tuple(x * MICROMETRE for x in scenario.smr.range_error_table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table

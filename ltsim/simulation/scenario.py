@@ -138,8 +138,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
     with as_input_error():
-        whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
-        scenario = validate_settings(whole, Scenario, "scenario", file)
+        completed_tables = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
+        scenario = validate_settings(completed_tables, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_reduced_network(scenario, file), file)
 
@@ -296,11 +296,11 @@ def _local_path(file_name: str, folder: Path) -> Path:
 
 def _check_scenario(scenario: Scenario, file: Path) -> None:
     for problem in chain(
-        _name_errors(scenario, file),
-        _instrument_errors(scenario),
-        _position_errors(scenario),
-        _length_errors(scenario),
-        _effect_errors(scenario),
+        _invalid_name_sentences(scenario, file),
+        _invalid_tracker_sentences(scenario),
+        _invalid_position_sentences(scenario),
+        _invalid_length_sentences(scenario),
+        _invalid_effect_sentences(scenario),
     ):
         raise InputError(f"{file}: {problem}")
 
@@ -312,7 +312,7 @@ def unknown_name_sentences(key: str, name: str, names: Collection[str], list_tex
         yield f"{key} names '{safe_excerpt(name)}', which is not one of {listed or list_text_if_empty}"
 
 
-def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
+def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
@@ -327,7 +327,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
                 SourceLocation(file).name(name, kind)
 
 
-def _instrument_errors(scenario: Scenario) -> Iterator[str]:
+def _invalid_tracker_sentences(scenario: Scenario) -> Iterator[str]:
     """Sentences on stations with unknown trackers, trackers without stations, and trackers with different designs."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
@@ -347,7 +347,7 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
             yield f"instruments have different constructions or orders ({designs_named}); give all the same"
 
 
-def _position_errors(scenario: Scenario) -> Iterator[str]:
+def _invalid_position_sentences(scenario: Scenario) -> Iterator[str]:
     hall_size_mm = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
@@ -362,7 +362,7 @@ def _position_errors(scenario: Scenario) -> Iterator[str]:
             yield f"targets.{name}.nest_normal has length 0"
 
 
-def _length_errors(scenario: Scenario) -> Iterator[str]:
+def _invalid_length_sentences(scenario: Scenario) -> Iterator[str]:
     """Sentences on invalid reference lengths: wrong ends, undeclared material, or invalid temperature."""
     for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
@@ -377,7 +377,7 @@ def _length_errors(scenario: Scenario) -> Iterator[str]:
             yield f"lengths.{i}.measured_at_c is '{given}', expected a number or '{AIR_TEMPERATURE_COLUMN}'"
 
 
-def _effect_errors(scenario: Scenario) -> Iterator[str]:
+def _invalid_effect_sentences(scenario: Scenario) -> Iterator[str]:
     for i, entry in enumerate(scenario.effects, 1):
         for name in entry.stations:
             yield from unknown_name_sentences(f"effects.{i}.stations", name, scenario.stations)

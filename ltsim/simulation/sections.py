@@ -198,7 +198,7 @@ class ScenarioInstrument(TomlSection):
     """Ratio of the prior that the recording declares to `prior`; values other than 1 simulate a wrong specification."""
 
     @model_validator(mode="after")
-    def _check_kinds_of_errors(self) -> Self:
+    def _check_error_value_types(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
                 raise ValueError("it should have numbers, and true or false only for draw")

@@ -25,7 +25,7 @@ from ltsim.recordings.setup import (
     Vector,
 )
 from ltsim.simulation.draws import StandardNormalSource, TrialDistributions, effect_distributions
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry, smr_names_of_pointings
+from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry, smr_names_of_pointings
 from ltsim.simulation.physics import (
     instrument_error_distribution,
     instrument_resolutions,
@@ -35,7 +35,7 @@ from ltsim.simulation.physics import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
-from ltsim.simulation.workshop import measure_nominal_points, measured_length_sigmas
+from ltsim.simulation.workshop import cmm_length_sigmas, measure_points_by_cmm
 
 GeometrySharing = Literal["shared", "per-trial"]
 """Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
@@ -128,17 +128,17 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
 
 
 def simulate_readings(
-    geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...], noise: Floats
+    geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], noise: Floats
 ) -> Floats:
     """Raw readings with noise and rounding, shape (pointings, 3); NaN for observables that are not recorded.
 
-    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` are the parameters [SI]
+    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect, and `noise` (pointings, 3) [m, rad, rad] is added to the readings.
     """
-    readings = exact_readings(geometry, instrument, effect_sizes) + noise
+    readings = exact_readings(geometry, instrument, effect_values) + noise
     readings[:, 1] = wrap_angle(readings[:, 1])
     readings = round_to_resolution(readings, instrument_resolutions(geometry.scenario)[geometry.sightings.instrument])
-    for mistake in occurring_blunders(geometry.effects, effect_sizes):
+    for mistake in occurring_blunders(geometry.effects, effect_values):
         readings = mistake.recorded_readings(geometry.sightings, readings)
     recorded = [
         [name in tracker.observables for name in OBSERVABLES] for tracker in geometry.scenario.trackers_in_use.values()
@@ -146,26 +146,26 @@ def simulate_readings(
     return np.where(np.array(recorded)[geometry.sightings.instrument], readings, np.nan)
 
 
-def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...]) -> Floats:
+def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...]) -> Floats:
     """Raw readings without noise, shape (pointings, 3), of trackers with errors; each effect changes the readings.
 
-    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` are the parameters [SI]
+    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect.
     """
     sightings = geometry.sightings
-    for mistake in occurring_blunders(geometry.effects, effect_sizes):
+    for mistake in occurring_blunders(geometry.effects, effect_values):
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = geometry.construction.readings_from_points(sightings.local_points, sightings.face, errors)
     for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].light_path_stage):
         if not isinstance(geometry.effects[k], Blunder):
-            readings = readings + geometry.effects[k].reading_change(sightings, effect_sizes[k])
+            readings = readings + geometry.effects[k].reading_change(sightings, effect_values[k])
     return readings
 
 
-def occurring_blunders(effects: Sequence[Effect], effect_sizes: Sequence[Floats]) -> list[Blunder]:
-    """Blunders among `effects` that occur in a trial: their first parameter in `effect_sizes` is not 0."""
-    return [e for e, made in zip(effects, effect_sizes, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
+def occurring_blunders(effects: Sequence[Effect], effect_values: Sequence[Floats]) -> list[Blunder]:
+    """Blunders among `effects` that occur in a trial: their first parameter in `effect_values` is not 0."""
+    return [e for e, made in zip(effects, effect_values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
@@ -241,14 +241,14 @@ def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
 
 
 def _truth_of_trial(
-    geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...], seed: int, trial: int
+    geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], seed: int, trial: int
 ) -> Truth:
     s, scenario = geometry.sightings, geometry.scenario
     trackers = scenario.trackers_in_use
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
     if scenario.cmm.measures_targets:
-        nominal = measure_nominal_points(
+        nominal = measure_points_by_cmm(
             s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
         )
     arrays = TruthArrays(
@@ -256,7 +256,7 @@ def _truth_of_trial(
         station_rotations=s.station_rotations,
         target_points=s.target_points,
         instrument_values=dict(zip(names, instrument.ravel().tolist(), strict=True)),
-        effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, effect_sizes, strict=True)),
+        effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, effect_values, strict=True)),
         nominal_points=nominal,
     )
     units = [p.unit for p in geometry.construction.parameters] * len(trackers)
@@ -294,7 +294,7 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     certified = (
         np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.expansion_factors
     )
-    by_machine = measured_length_sigmas(scenario.cmm, certified).tolist()
+    by_machine = cmm_length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
     return with_certified_lengths(blank, certified, sigma)
 

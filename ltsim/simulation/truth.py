@@ -204,7 +204,7 @@ class Truth(ResultFile):
     _arrays: TruthArrays | None = PrivateAttr(None)
 
     @model_validator(mode="after")
-    def _effects_and_nominal_points_exist(self) -> Self:
+    def _check_effects_and_nominal_points(self) -> Self:
         if self.nominal_points is not None and [p.name for p in self.nominal_points] != [p.name for p in self.targets]:
             raise ValueError("the names of the nominal points differ from those of the targets, or have another order")
         try:
@@ -348,7 +348,7 @@ def read_truth(path: Path) -> Truth:
     return read_result(path, Truth)
 
 
-def nominal_csv(truth: Truth) -> str:
+def nominal_points_csv(truth: Truth) -> str:
     """CSV text ``target,x_mm,y_mm,z_mm`` with the points from the coordinate measuring machine, for `ltsim verify`.
 
     ModelError is raised for a scenario without a measuring machine.

@@ -118,7 +118,7 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
     return points
 
 
-def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
+def gauge_expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
     """Ratio of the gauge's lengths at the hall's temperature to its lengths at the calibration temperature."""
     measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
     return ThermalExpansion.from_temperature_difference(
@@ -134,17 +134,19 @@ def gauge_rotation(gauge: ScenarioGauge) -> Floats:
 
 def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, workshop_temperature_c: float) -> Floats:
     """Coordinates (targets, 3) [m] of the gauge's targets at its planned pose and at the hall's temperature."""
-    points: Floats = expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
+    points: Floats = (
+        gauge_expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
+    )
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
-def measured_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
+def cmm_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
     """Standard deviation [m] of each length: the machine's maximum permissible error divided by its coverage factor."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
     return largest * MICROMETRE / measuring_machine.coverage_factor
 
 
-def measure_nominal_points(
+def measure_points_by_cmm(
     points: Floats,
     names: tuple[str, ...],
     measuring_machine: CoordinateMeasuringMachine,
@@ -197,7 +199,7 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
         points = np.concatenate(
             [points, gauge_points_in_workshop(scenario.gauge, frame, scenario.workshop.temperature_c)]
         )
-    normal, reaimed = _nest_normals_and_flags(scenario, position, points)
+    normal, reaimed = _nest_normals_and_reaimed_mask(scenario, position, points)
     return WorkshopLayout(
         station_names=tuple(scenario.stations),
         target_names=scenario.target_names,
@@ -209,7 +211,7 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
     )
 
 
-def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
+def _nest_normals_and_reaimed_mask(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
     """Unit normals of the nests (targets, 3), and mask (targets,) of reflectors that are turned towards each station.
 
     `position` (stations, 3) and `points` (targets, 3) are planned positions [m]. A fixed nest without a declared normal

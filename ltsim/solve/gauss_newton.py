@@ -14,7 +14,7 @@ UnknownsT = TypeVar("UnknownsT")
 """Type of one set of values of the unknowns."""
 MAX_ITERATIONS = 60
 """Largest number of steps of an iteration that otherwise ends when its error is below a tolerance. If each step reduces
-the error to 0.74 of the previous one or less, it is below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration
+the error to 0.74 of the previous one or less, it is below `SQRT_MACHINE_EPSILON` (1.5e-8) after 60 steps; an iteration
 that needs more steps counts as not convergent.
 """
 MAX_DECISION_CHANGES = 6

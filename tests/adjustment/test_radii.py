@@ -12,7 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import identify_causes
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.randomness import random_stream
@@ -216,7 +216,7 @@ def test_one_radius_for_all_moves_nothing() -> None:
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
     with pytest.raises(InputError, match="a campaign uses one SMR radius"):
-        make_cell_truth(scenario(), 1)
+        make_true_network(scenario(), 1)
 
 
 def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import CellTruth
+from ltsim.campaigns.true_network import TrueNetwork
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.measurement import sightings_at_state
@@ -36,7 +36,7 @@ def truth_of(
     faces: int = 1,
     effects: tuple[EffectDistribution, ...] = (),
     scale: float = 1.0,
-) -> CellTruth:
+) -> TrueNetwork:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
     built = construction or misalignment_construction()
@@ -52,11 +52,11 @@ def truth_of(
         length_end_names=recording.targets,
         effects=effects,
     )
-    return CellTruth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
+    return TrueNetwork(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
 
 
 @pytest.fixture(scope="session")
-def make_truth() -> Callable[..., CellTruth]:
+def make_truth() -> Callable[..., TrueNetwork]:
     return truth_of
 
 

@@ -19,8 +19,8 @@ import pytest
 from ltsim.campaigns import statistics, store, trial_calibrators
 from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.campaigns.results import CampaignResults
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import QUANTILE_LEVELS
 from ltsim.campaigns.store import CampaignFolder, read_shard
@@ -365,7 +365,7 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     whole = pq.read_table(tmp_path / "out" / "rows" / "cell-0001").to_pydict()
     before, after = (np.array(whole[f"distance_{when}_mean_um"]) for when in ("before", "after"))
     improvement = 100 * (1 - after / before)
-    spread = results.distribution("distance_improvement_percent")[1]
+    spread = results.statistic_summaries("distance_improvement_percent")[1]
     assert (spread.cell, spread.method, spread.trials) == (1, "network", 600)
     assert spread.mean == pytest.approx(improvement.mean(), rel=1e-5)
     assert spread.standard_deviation == pytest.approx(improvement.std(ddof=1), rel=1e-5)
@@ -384,9 +384,9 @@ def test_quantiles_of_very_many_rows_come_from_a_digest(
 ) -> None:
     run_campaign(file, tmp_path / "out")
     results = CampaignResults(tmp_path / "out")
-    exact = results.distribution("target_error_um")[0]
+    exact = results.statistic_summaries("target_error_um")[0]
     monkeypatch.setattr(statistics, "MAX_ROWS_EXACT_QUANTILES", 1000)
-    rough = results.distribution("target_error_um")[0]
+    rough = results.statistic_summaries("target_error_um")[0]
     assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
     assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.standard_deviation
 
@@ -397,6 +397,6 @@ def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     results = CampaignResults(tmp_path / "out")
     gap = results.paired_differences("target_error_um", method=("none", "network")).entries
     assert [g.trials for g in gap] == [600, 600] and [g.shared_levels for g in gap] == results.levels
-    means = {(s.cell, s.method): s.mean for s in results.distribution("target_error_um")}
+    means = {(s.cell, s.method): s.mean for s in results.statistic_summaries("target_error_um")}
     assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
     assert gap[0].low > 0  # an uncalibrated network errs more

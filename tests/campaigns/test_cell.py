@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import kstest
 
 import ltsim as lt
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.errors import InputError
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, find_effect
@@ -20,7 +20,7 @@ from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 from ltsim.simulation.simulator import measure_trial
 
@@ -62,7 +62,7 @@ def with_effect(name: str) -> Scenario:
 def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     """Over the whole catalogue: readings to a thousandth of sigma or a step of the resolution, lengths to 1 nm."""
     given = with_effect(name)
-    truth = make_cell_truth(given, SEED)
+    truth = make_true_network(given, SEED)
     block = truth.draw_batch(SEED, 0, 8)
     recording, true = lt.simulate(given, seed=SEED, trial=TRIAL)
     gap = truth.trial_readings(block, TRIAL) - recording.readings
@@ -79,7 +79,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
 @pytest.mark.parametrize("name", BUILTIN)
 def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
     given = load_scenario(name)
-    truth = make_cell_truth(given, SEED)
+    truth = make_true_network(given, SEED)
     block = truth.draw_batch(SEED, 1)
     recording, _ = lt.simulate(given, seed=SEED, trial=300)
     gap = truth.trial_readings(block, 300 - 256) - recording.readings
@@ -121,7 +121,7 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.is_nonnegative for p in k.parameters)]
     assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
     for kind in is_nonnegative:
-        truth = make_cell_truth(with_effect(kind.name), 6)
+        truth = make_true_network(with_effect(kind.name), 6)
         drawn = truth.distributions.draw(StandardNormalSource(6, np.arange(1024))).effect_values[0]
         for k, parameter in enumerate(truth.effects[0].effect.parameters):
             if truth.effects[0].is_nonnegative[k]:
@@ -130,8 +130,8 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
 
 
 def test_drawn_noise_levels_widen_single_trials() -> None:
-    truth = make_cell_truth(scenario(effects=[{"name": "noise-level", "draw": True}]), 5)
-    quiet = make_cell_truth(scenario(), 5)
+    truth = make_true_network(scenario(effects=[{"name": "noise-level", "draw": True}]), 5)
+    quiet = make_true_network(scenario(), 5)
     loud, still = truth.draw_batch(5, 0), quiet.draw_batch(5, 0)
     extra = loud.effect_values[0][0]
     assert np.all(extra >= 0) and extra.std() > 0.1
@@ -141,7 +141,7 @@ def test_drawn_noise_levels_widen_single_trials() -> None:
 
 
 def test_stated_errors_are_not_drawn() -> None:
-    truth = make_cell_truth(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
+    truth = make_true_network(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
     block = truth.draw_batch(6, 0)
     place = truth.construction.parameter_index("beam-tilt")
     assert np.all(block.instrument_values[0, place] == 7e-6)
@@ -151,12 +151,16 @@ def test_stated_errors_are_not_drawn() -> None:
 def test_an_error_that_the_instrument_cannot_have_is_refused() -> None:
     given = scenario(instrument={"preset": "paper", "errors": {"beam-tlt": 7.0}})
     with pytest.raises(InputError, match="beam-tilt"):
-        make_cell_truth(given, 6)
+        make_true_network(given, 6)
 
 
 def test_geometry_belongs_to_its_key() -> None:
     given = scenario()
-    one, other, again = make_cell_truth(given, 7, "a"), make_cell_truth(given, 7, "b"), make_cell_truth(given, 7, "a")
+    one, other, again = (
+        make_true_network(given, 7, "a"),
+        make_true_network(given, 7, "b"),
+        make_true_network(given, 7, "a"),
+    )
     assert np.array_equal(one.state.target_points, again.state.target_points)
     assert np.abs(one.state.target_points - other.state.target_points).max() > 1e-4
     assert np.array_equal(one.state.station_positions[0], np.zeros(3))
@@ -165,6 +169,6 @@ def test_geometry_belongs_to_its_key() -> None:
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
     with pytest.raises(InputError, match="makes a variance of readings negative"):
-        make_cell_truth(given, 7).draw_batch(7, 0)
+        make_true_network(given, 7).draw_batch(7, 0)
     with pytest.raises(InputError, match="makes a variance of readings negative"):
         measure_trial(make_measurement_geometry(given, 7), 7)

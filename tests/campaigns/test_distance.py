@@ -9,19 +9,19 @@ import pytest
 
 from ltsim.calibration.distance_solver import mean_deviation_comparisons
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.cloud_kernels import distance_gradient
 from ltsim.campaigns.trial_calibrators import TRIAL_STATUSES, recording_of_trial
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork
 from ltsim.physics.model.construction import misalignment_construction
 
 EVERY = np.arange(TRIALS_PER_STREAM)
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
-    batch = BatchDistance(make_truth(faces=faces), misalignment_construction())
-    block = batch.truth.draw_batch(21, 0)
+def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., TrueNetwork]) -> None:
+    batch = BatchDistanceCalibrator(make_truth(faces=faces), misalignment_construction())
+    block = batch.true_network.draw_batch(21, 0)
     found = batch.calibrate(block, EVERY)
     assert np.all(found.status_indices == 0)
     assert max(batch.largest_solver_difference(block, k, found) for k in (0, 90, 180)) < 1e-3
@@ -30,12 +30,12 @@ def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., Ce
     assert single.instrument_sigmas[:, :, 7] == pytest.approx(found.instrument_sigmas, rel=1e-3)
 
 
-def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
+def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., TrueNetwork]) -> None:
     """At zero parameters: the sum of squares of eq. 9's rows."""
     truth = make_truth(faces=2)
-    batch = BatchDistance(truth, misalignment_construction())
+    batch = BatchDistanceCalibrator(truth, misalignment_construction())
     block = truth.draw_batch(22, 0)
-    sets, seen, share, gauge = batch._pointing_sets
+    sets, seen, share, gauge = batch._distance_objective_arrays
     clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):
@@ -54,9 +54,9 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
         assert cost[k] == pytest.approx(float(rows.residuals @ rows.residuals), rel=1e-6)
 
 
-def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
-    batch = BatchDistance(make_truth(), misalignment_construction())
-    block = batch.truth.draw_batch(23, 0)
+def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., TrueNetwork]) -> None:
+    batch = BatchDistanceCalibrator(make_truth(), misalignment_construction())
+    block = batch.true_network.draw_batch(23, 0)
     block.reading_deviations[30, 0, 5] -= 8e-3
     found = batch.calibrate(block, np.array([4, 5]))
     assert [TRIAL_STATUSES[s] for s in found.status_indices[[4, 5]]] == ["converged", "full solver"]
@@ -66,14 +66,14 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Cel
 
 @pytest.mark.long
 @pytest.mark.parametrize("faces", [1, 2])
-def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
+def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., TrueNetwork]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""
-    batch = BatchDistance(make_truth(faces=faces), misalignment_construction(), method="distance-l1")
-    block = batch.truth.draw_batch(24, 0)
+    batch = BatchDistanceCalibrator(make_truth(faces=faces), misalignment_construction(), method="distance-l1")
+    block = batch.true_network.draw_batch(24, 0)
     block.reading_deviations[11::60, 0, 3] += 3e-4
     found = batch.calibrate(block, np.array([2, 3, 200]))
     assert np.all(found.status_indices[[2, 3, 200]] == 0)
     assert max(batch.largest_solver_difference(block, k, found) for k in (2, 200)) < 1e-3
     assert batch.largest_solver_difference(block, 3, found) < 2e-3  # 0.3 mm off: 1.1e-3, here and on a8a5717
-    squares = BatchDistance(batch.truth, misalignment_construction()).calibrate(block, EVERY)
+    squares = BatchDistanceCalibrator(batch.true_network, misalignment_construction()).calibrate(block, EVERY)
     assert not np.allclose(squares.instrument_values[:, :, 3], found.instrument_values[:, :, 3], rtol=0.01)

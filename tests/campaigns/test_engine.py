@@ -18,7 +18,7 @@ from ltsim.campaigns.trial_calibrators import (
     recording_of_trial,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
@@ -62,30 +62,30 @@ class Bent(Drift):
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTruth]) -> None:
+def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(faces=faces), misalignment_construction())
-    block = engine.truth.draw_batch(11, 2)
+    block = engine.true_network.draw_batch(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status_indices == 0)
     differences = [engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
     assert max(differences) < 2e-4
 
 
-def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., CellTruth]) -> None:
+def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
-    block = engine.truth.draw_batch(11, 0)
+    block = engine.true_network.draw_batch(11, 0)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
 
 
-def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
+def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(), dh_construction())
-    block = engine.truth.draw_batch(12, 0)
+    block = engine.true_network.draw_batch(12, 0)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 1e-3
 
 
-def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) -> None:
+def test_fitted_effects_equal_full_solver(make_truth: Callable[..., TrueNetwork]) -> None:
     sigma = np.array([10e-6, 10e-6]) / 3600
     truth = make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), sigma),))
     engine = BatchCalibrator(truth, misalignment_construction(), (Drift(),))
@@ -99,7 +99,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
     assert np.all(np.abs(fit.effect_values[:, 5] - block.effect_values[0][:, 5]) < 5 * spread)
 
 
-def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., CellTruth]) -> None:
+def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., TrueNetwork]) -> None:
     truth = make_truth()
     engine = BatchCalibrator(truth, misalignment_construction(), (GaugeScale(),))
     block = truth.draw_batch(20, 0)
@@ -111,7 +111,7 @@ def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Calla
 
 
 def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator) -> None:
-    blocks = [engine.truth.draw_batch(14, k) for k in range(4)]
+    blocks = [engine.true_network.draw_batch(14, k) for k in range(4)]
     found = [engine.calibrate(block) for block in blocks]
     chi2 = np.concatenate([f.chi2 for f in found])
     dof = engine.batch_network.problem.dof
@@ -125,18 +125,18 @@ def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator)
 
 
 def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_batch(15, 0)
+    block = engine.true_network.draw_batch(15, 0)
     block.reading_deviations[17, 0, 3] += 5e-3
     found = engine.calibrate(block)
     assert [TRIAL_STATUSES[s] for s in found.status_indices[[2, 3]]] == ["converged", FULL_SOLVER]
     assert np.isfinite(found.instrument_values).all()
-    single, _, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.truth, block, 3))
+    single, _, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, 3))
     assert single is not None and single.is_gross_pointing[17]
     assert np.array_equal(found.instrument_values[:, :, 3], single.state.instrument_parameters)
 
 
 def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_batch(15, 1)
+    block = engine.true_network.draw_batch(15, 1)
     block.reading_deviations[:, :, 9] = np.nan
     found = engine.calibrate(block)
     assert TRIAL_STATUSES[found.status_indices[9]] == WITHOUT_RESULT
@@ -145,7 +145,7 @@ def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> N
 
 
 def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -> None:
-    truth = engine.truth
+    truth = engine.true_network
     block = truth.draw_batch(16, 0)
     found, judge = engine.calibrate(block), TrialEvaluator(truth)
     shared = judge.method_independent_columns(block)
@@ -173,7 +173,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
         )
 
 
-def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -> None:
+def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., TrueNetwork]) -> None:
     plain, drifting = make_truth(), make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), np.full(2, 1e-9)),))
     one, other = plain.draw_batch(17, 5), drifting.draw_batch(17, 5)
     assert np.array_equal(one.instrument_values, other.instrument_values)
@@ -183,7 +183,7 @@ def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -
     assert not np.array_equal(one.instrument_values, plain.draw_batch(18, 5).instrument_values)
 
 
-def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., CellTruth]) -> None:
+def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., TrueNetwork]) -> None:
     for effect in (Drift(), Bent()):
         truth = make_truth(effects=(EffectDistribution(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
         silent = replace(
@@ -206,9 +206,9 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
 
 
 def test_stated_lengths_carry_their_error_to_every_calibrator(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_batch(19, 0)
-    recording = recording_of_trial(engine.truth, block, 4)
-    before, after = engine.truth.recording.gauge.distance, recording.gauge.distance
+    block = engine.true_network.draw_batch(19, 0)
+    recording = recording_of_trial(engine.true_network, block, 4)
+    before, after = engine.true_network.recording.gauge.distance, recording.gauge.distance
     error = [1e-3 * (b.length_mm - a.length_mm) for a, b in zip(before, after, strict=True)]
     assert error == pytest.approx(block.length_errors[:, 4], abs=1e-15)
     assert np.std(block.length_errors) == pytest.approx(2.5e-6, rel=0.1)

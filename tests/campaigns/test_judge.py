@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.trial_evaluation import MICROMETRES_PER_METRE, TrialEvaluator
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 
@@ -36,9 +36,9 @@ def rows(scenario: Scenario) -> dict[str, list[object]]:
 
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
-    truth = make_cell_truth(with_far_station(levelled=True), 0, "campaign", 2)
+    truth = make_true_network(with_far_station(levelled=True), 0, "campaign", 2)
     judge, block = TrialEvaluator(truth), truth.draw_batch(0, 2, 1)
-    assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.has_frame.tolist() == [True] * 5 + [False]
+    assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.is_frame_determined.tolist() == [True] * 5 + [False]
     assert not judge.has_criteria
     recording, total = truth.recording, []
     for station in range(5):
@@ -65,17 +65,17 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 
 
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
-    truth = make_cell_truth(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
+    truth = make_true_network(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
     judge, draw = TrialEvaluator(truth), np.random.default_rng(5)
     points = 1e-5 * draw.standard_normal((*truth.state.target_points.shape, 4))
-    whole = judge.target_error(points)
+    whole = judge.adjusted_target_error(points)
     lost = points.copy()
     lost[7, :, 2] = np.nan
-    found = judge.target_error(lost)
+    found = judge.adjusted_target_error(lost)
     assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
     kept = np.arange(len(points)) != 7
     true = truth.state.target_points[kept]
     gap = align_to_points(true + points[kept][:, :, 2], true) - true
     assert found[2] == pytest.approx(MICROMETRES_PER_METRE * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
     lost[:, :, 1] = np.nan
-    assert np.isnan(judge.target_error(lost)[1])
+    assert np.isnan(judge.adjusted_target_error(lost)[1])

@@ -15,7 +15,7 @@ from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.compilation import compile_function
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
 
@@ -25,7 +25,7 @@ CONSTRUCTIONS = {"misalignment": misalignment_construction, "dh": dh_constructio
 @pytest.mark.parametrize("faces", [1, 2])
 @pytest.mark.parametrize("name", CONSTRUCTIONS)
 def test_points_and_readings_are_those_of_the_construction(
-    name: str, faces: int, make_truth: Callable[..., CellTruth]
+    name: str, faces: int, make_truth: Callable[..., TrueNetwork]
 ) -> None:
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
@@ -46,7 +46,7 @@ def test_points_and_readings_are_those_of_the_construction(
         assert np.abs(points[:, :, k] - built.points_from_readings(raw, values[0, :, k])).max() < 2e-11
 
 
-def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., CellTruth]) -> None:
+def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., TrueNetwork]) -> None:
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
     values = np.zeros((1, 16, TRIALS_PER_STREAM))
@@ -63,7 +63,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
         assert np.abs(gap).max() < 1e-13
 
 
-def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTruth]) -> None:
+def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., TrueNetwork]) -> None:
     truth = make_truth()
     program = ChainProgram.from_construction(misalignment_construction(), truth.recording.readings)
     assert len(program.is_rotation) == 8
@@ -73,7 +73,7 @@ def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTr
 def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
     network: BatchNetwork = engine.batch_network
-    block = engine.truth.draw_batch(3, 0)
+    block = engine.true_network.draw_batch(3, 0)
     size = network.block_end_indices[-1]
     rng = np.random.default_rng(6)
     spread = np.sqrt(np.diag(network.covariance))[:, None]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import ltsim as lt
-from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 
 BARS = lt.scenario(
     "paper-workshop",
@@ -25,7 +25,7 @@ BARS = lt.scenario(
 
 
 def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
-    truth = make_cell_truth(BARS, 4, "campaign")
+    truth = make_true_network(BARS, 4, "campaign")
     block = truth.draw_batch(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
@@ -38,6 +38,6 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     )  # the bars tell something
     dof = engine.batch_network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
-    distance = BatchDistance(truth, truth.construction)
+    distance = BatchDistanceCalibrator(truth, truth.construction)
     compared = distance.calibrate(block, np.arange(len(found.chi2)))
     assert max(distance.largest_solver_difference(block, k, compared) for k in (0, 3)) < 1e-3

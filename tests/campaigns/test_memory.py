@@ -14,9 +14,9 @@ import pytest
 
 from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.rows import cell_context
+from ltsim.campaigns.shard_rows import cell_context
 from ltsim.campaigns.spec import load_campaign
-from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.errors import InputError
 from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
 from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
@@ -42,7 +42,7 @@ def test_no_geometry_of_a_trial_outlives_its_batch(geometry: str, file: Path, tm
 
 def living_truths() -> list[object]:
     """Truths and batches of trials that exist; the type is compared, because a dead weak reference has no class."""
-    return [found for found in gc.get_objects() if type(found) in (CellTruth, TrialBatch)]
+    return [found for found in gc.get_objects() if type(found) in (TrueNetwork, TrialBatch)]
 
 
 @pytest.mark.parametrize("geometry", ["shared", "per-trial"])
@@ -51,14 +51,14 @@ def test_a_large_network_is_calibrated_in_small_batches(
 ) -> None:
     """A batch of 256 trials of 28,000 pointings took 1.9 GB, 64 geometries of them 11 GB."""
     file.write_text(FEW.replace("trials = 12", f'trials = 12\ngeometry = "{geometry}"'))
-    sizes, draw = [], CellTruth.batch_from_draw
+    sizes, draw = [], TrueNetwork.batch_from_draw
     monkeypatch.setattr(
-        CellTruth, "batch_from_draw", lambda self, drawn, gap: sizes.append(gap.shape[2]) or draw(self, drawn, gap)
+        TrueNetwork, "batch_from_draw", lambda self, drawn, gap: sizes.append(gap.shape[2]) or draw(self, drawn, gap)
     )
     run_campaign(file, tmp_path / "whole")
     assert max(sizes) == (TRIALS_PER_STREAM if geometry == "shared" else 1)
     sizes.clear()
-    monkeypatch.setattr("ltsim.campaigns.rows.MAX_BATCH_VALUES", 200_000)
+    monkeypatch.setattr("ltsim.campaigns.shard_rows.MAX_BATCH_VALUES", 200_000)
     run_campaign(file, tmp_path / "parts")
     assert max(sizes) == (32 if geometry == "shared" else 1)
     assert_equal_rows(tmp_path / "whole", tmp_path / "parts", MAX_DISTANCE_TO_OPTIMUM)
@@ -88,7 +88,7 @@ def assert_equal_rows(first: Path, second: Path, tolerance: float) -> None:
 
 def test_numbers_of_a_trial_do_not_depend_on_how_they_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = np.concatenate([standard_normal_trials(3, np.arange(k, k + 256), 50, "noise") for k in (0, 256)], axis=1)
-    monkeypatch.setattr("ltsim.core.randomness.VALUES_PER_BATCH", 7)
+    monkeypatch.setattr("ltsim.core.randomness.VALUES_PER_TRIAL_AND_BATCH", 7)
     for trials in ([0], [5], [0, 1, 2], [300, 7, 0, 256], range(10, 500)):
         assert np.array_equal(standard_normal_trials(3, np.array(trials), 50, "noise"), whole[:, list(trials)])
 
@@ -98,7 +98,7 @@ def test_a_network_that_takes_too_much_memory_is_refused_with_the_way_to_permit_
     limit: str, word: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file.write_text(FEW)
-    monkeypatch.setattr(f"ltsim.campaigns.truth.{limit}", 20)
+    monkeypatch.setattr(f"ltsim.campaigns.true_network.{limit}", 20)
     with pytest.raises(
         InputError, match=rf"the network has \d+ {word}.* takes at most 20: .*{POINTINGS_LIMIT_VARIABLE}"
     ):

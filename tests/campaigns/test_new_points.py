@@ -13,8 +13,8 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import removed_error_fraction
 from ltsim.campaigns.results import _matching_level
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import InputError, ModelError
 from ltsim.physics.effects import CATALOGUE
@@ -167,7 +167,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
         for _, own in frame.groupby("faces")
     ]
     assert faces.entries[0].difference == pytest.approx(shares[1] - shares[0], rel=1e-5)
-    spread = next(s for s in results.distribution("share_removed") if (s.cell, s.method) == (0, "network"))
+    spread = next(s for s in results.statistic_summaries("share_removed") if (s.cell, s.method) == (0, "network"))
     assert spread.mean == pytest.approx(shares[0], rel=1e-5) and spread.low < spread.mean < spread.high
     for wrong in ({"method": ("distance", "nothing")}, {"face": (1, 2)}, {"faces": (1, 3)}):
         with pytest.raises(ModelError):

@@ -11,7 +11,7 @@ from ltsim.campaigns.calibrators import StackCalibrator, make_calibrator, stack_
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
+from ltsim.campaigns.true_network import TrueNetwork, make_true_network
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.layout_scorer import LayoutScorer
@@ -24,11 +24,11 @@ SCENE = lt.scenario(
 
 
 @pytest.fixture(scope="module")
-def truth() -> CellTruth:
-    return make_cell_truth(SCENE, 4, "campaign")
+def truth() -> TrueNetwork:
+    return make_true_network(SCENE, 4, "campaign")
 
 
-def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth) -> None:
+def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: TrueNetwork) -> None:
     engine, block = BatchCalibrator(truth, truth.construction), truth.draw_batch(4, 0)
     found = engine.calibrate(block)
     assert (found.status_indices == 0).mean() > 0.95
@@ -46,7 +46,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
 
 
-def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None:
+def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: TrueNetwork) -> None:
     """The planner's point error, at the places of the trials, against the spread of 256 of them."""
     survey, built = planned_survey(SCENE), planned_construction(SCENE)
     assert [p.name for p in built.parameters] == ["range-offset", "range-scale", "transit-offset"]
@@ -70,7 +70,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     assert achieved / slow.target_rms == pytest.approx(1.0, abs=0.07)
 
 
-def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
+def test_ranges_from_two_stations_place_nothing(truth: TrueNetwork) -> None:
     survey = planned_survey(SCENE)
     seen = survey.is_visible.copy()
     seen[2:, 0] = False
@@ -86,7 +86,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
         LayoutInformation.from_survey(lost)
 
 
-def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: CellTruth) -> None:
+def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: TrueNetwork) -> None:
     with pytest.raises(InputError, match="needs ranges and angles"):
         make_calibrator(CalibrationMethod(method="distance"), truth)
     mixed = lt.scenario("two-trackers")
@@ -94,11 +94,11 @@ def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: Cell
     first = next(iter(trackers))
     trackers[first] = trackers[first].model_copy(update={"observables": ("distance",)})
     with pytest.raises(InputError, match="observables differ"):
-        make_cell_truth(mixed.model_copy(update={"instruments": trackers}), 1)
+        make_true_network(mixed.model_copy(update={"instruments": trackers}), 1)
 
 
-def test_each_trial_may_have_its_own_places(truth: CellTruth) -> None:
-    own = {k: make_cell_truth(SCENE, 4, "campaign", k, reference_truth=truth) for k in range(6)}
+def test_each_trial_may_have_its_own_places(truth: TrueNetwork) -> None:
+    own = {k: make_true_network(SCENE, 4, "campaign", k, reference_network=truth) for k in range(6)}
     ((stack, numbers),) = stack_geometries(own)
     block = stack.draw_numbered_trials(4, numbers)
     calibrator = StackCalibrator.for_stack(CalibrationMethod(method="network"), stack)

@@ -56,7 +56,7 @@ def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> N
     cube = sweep.to_xarray("target_error_um", "share_removed")
     assert cube.sizes == {"calibrator": 2, "faces": 2, "angle_noise_arcsec": 2}
     one = cube.sel(calibrator="distance", faces=2, angle_noise_arcsec=0.4)
-    entry = next(s for s in sweep.distribution("target_error_um") if (s.cell, s.method) == (2, "distance"))
+    entry = next(s for s in sweep.statistic_summaries("target_error_um") if (s.cell, s.method) == (2, "distance"))
     assert sweep.levels[2] == {"faces": 2, "angle_noise_arcsec": 0.4}
     assert (float(one.target_error_um), float(one.target_error_um_low)) == (entry.mean, entry.low)
     assert cube.target_error_um.attrs["units"] == "um"
@@ -87,18 +87,18 @@ def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) ->
     def mean(errors: np.ndarray) -> float:
         return float(errors.mean())
 
-    entries, exact = sweep.statistic(mean, "target_error_um"), sweep.distribution("target_error_um")
+    entries, exact = sweep.bootstrap_statistic(mean, "target_error_um"), sweep.statistic_summaries("target_error_um")
     assert [(e.cell, e.method, e.column) for e in entries] == [(s.cell, s.method, "mean") for s in exact]
     for entry, spread in zip(entries, exact, strict=True):
         assert entry.mean == pytest.approx(spread.mean, rel=1e-6)
         assert entry.high - entry.low == pytest.approx(spread.high - spread.low, rel=0.35)
-    both = sweep.statistic(lambda a, b: np.corrcoef(a, b)[0, 1], "target_error_um", "new_point_error_raw_um")
+    both = sweep.bootstrap_statistic(lambda a, b: np.corrcoef(a, b)[0, 1], "target_error_um", "new_point_error_raw_um")
     assert all(-1 <= entry.low <= entry.mean <= entry.high <= 1 for entry in both)
-    assert sweep.statistic(mean, "target_error_um") == entries
+    assert sweep.bootstrap_statistic(mean, "target_error_um") == entries
     with pytest.raises(ModelError, match="expected one number"):
-        sweep.statistic(lambda errors: errors, "target_error_um")
+        sweep.bootstrap_statistic(lambda errors: errors, "target_error_um")
     with pytest.raises(ModelError, match="ratio over all trials"):
-        sweep.statistic(mean, "share_removed")
+        sweep.bootstrap_statistic(mean, "share_removed")
 
 
 def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:
     made = lt.campaign(SWEEP | {"grid": {"work.targets": [8, 24, 16]}, "methods": [{}]}, out=tmp_path / "grown")
     cube = made.to_xarray("target_error_um")
     assert cube.targets.values.tolist() == [8, 16, 24]
-    assert float(cube.target_error_um.sel(targets=24)[0]) == made.distribution("target_error_um")[1].mean
+    assert float(cube.target_error_um.sel(targets=24)[0]) == made.statistic_summaries("target_error_um")[1].mean
 
 
 def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
-        means = [number_text(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
+        means = [number_text(s.mean) for s in sweep.statistic_summaries(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
     (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
     meanings = listed.text.splitlines()
@@ -222,7 +222,9 @@ def test_the_page_tells_which_method_is_better_by_paired_differences(sweep: Any)
     table = section.blocks[0]
     assert isinstance(table, TableBlock) and table.title == "Which method is better: error of a new point"
     statistic = "new_point_error_calibrated_um"
-    by_method = {m: [s.mean for s in sweep.distribution(statistic) if s.method == m] for m in sweep.manifest.methods}
+    by_method = {
+        m: [s.mean for s in sweep.statistic_summaries(statistic) if s.method == m] for m in sweep.manifest.methods
+    }
     best, other = sorted(by_method, key=lambda method: sum(by_method[method]))
     paired = sweep.paired_differences(statistic, method=(other, best)).entries
     names = cell_descriptions(sweep)

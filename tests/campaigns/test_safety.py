@@ -16,10 +16,10 @@ import trimesh
 from ltsim.campaigns.campaign import checkout_commit, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import MAX_SHARDS
-from ltsim.campaigns.statistics import memory_limit
+from ltsim.campaigns.statistics import database_memory_limit
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.core.errors import InputError, LtsimError
-from ltsim.core.limits import MAX_FILE_BYTES, MAX_SHARD_ROWS
+from ltsim.core.limits import MAX_FILE_BYTES, MAX_READ_SHARD_ROWS
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
@@ -62,14 +62,14 @@ def test_a_small_file_of_very_many_rows_is_refused_before_it_is_read(
     store = CampaignFolder(tmp_path / "out")
     shard = store.shard_path(0, 0)
     table = pq.read_table(shard)
-    rows = {f.name: np.repeat(table[f.name].to_numpy()[:1], MAX_SHARD_ROWS + 1) for f in table.schema}
+    rows = {f.name: np.repeat(table[f.name].to_numpy()[:1], MAX_READ_SHARD_ROWS + 1) for f in table.schema}
     pq.write_table(pa.table(rows, table.schema), shard, compression="zstd")
     assert shard.stat().st_size < 1e6
     (tmp_path / "out" / "rows.sha256").unlink()
     if with_digests:
         for number in range(2):
             store.record_digest(0, number)
-    with pytest.raises(InputError, match=f"{MAX_SHARD_ROWS + 1} rows, expected at most {MAX_SHARD_ROWS}"):
+    with pytest.raises(InputError, match=f"{MAX_READ_SHARD_ROWS + 1} rows, expected at most {MAX_READ_SHARD_ROWS}"):
         CampaignResults(tmp_path / "out")
 
 
@@ -90,8 +90,8 @@ def test_the_database_takes_memory_in_proportion_to_its_files(tmp_path: Path) ->
     (tmp_path / "small").write_bytes(b"x")
     with (tmp_path / "large").open("wb") as stream:
         stream.truncate(2 * MAX_FILE_BYTES)
-    assert memory_limit([tmp_path / "small"]) == "250MiB"
-    assert memory_limit([tmp_path / "large"]) == "500MiB"
+    assert database_memory_limit([tmp_path / "small"]) == "250MiB"
+    assert database_memory_limit([tmp_path / "large"]) == "500MiB"
 
 
 def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
     for name in ("run[1]", "run*", "it's"):
         run_campaign(file, tmp_path / name)
     means = {
-        name: CampaignResults(tmp_path / name).distribution("target_error_um")[0].mean
+        name: CampaignResults(tmp_path / name).statistic_summaries("target_error_um")[0].mean
         for name in ("run1", "run[1]", "run*", "it's")
     }
     assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]
@@ -154,7 +154,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
 def test_a_campaign_that_nobody_could_keep_is_a_sentence(
     change: tuple[str, str], says: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ltsim.campaigns.spec.MAX_FILE_ROWS", 1000)
+    monkeypatch.setattr("ltsim.campaigns.spec.MAX_WRITTEN_SHARD_ROWS", 1000)
     file.write_text(FILE.replace(*change))
     with pytest.raises(InputError, match=says):
         run_campaign(file, tmp_path / "out")

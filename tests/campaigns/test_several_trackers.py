@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.campaigns.columns import parameter_labels, parameter_value_columns
 from ltsim.campaigns.recovery_trials import with_errors_from_prior
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import change_scenario, load_scenario
 
@@ -20,7 +20,7 @@ TWO = load_scenario("two-trackers")
 
 
 def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
-    truth = make_cell_truth(TWO, 4, "campaign")
+    truth = make_true_network(TWO, 4, "campaign")
     block = truth.draw_batch(4, 0, 64)
     assert block.instrument_values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):
@@ -57,5 +57,5 @@ def test_intervals_hold_for_every_construction_and_number_of_trackers(constructi
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
     found = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
-    assert len(found.trials_with_result) == 60
+    assert len(found.available_trial_scores) == 60
     assert 0.93 < np.mean(np.abs(found.z_scores) < 1.96) < 0.97

@@ -11,18 +11,18 @@ from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, make_cell_truth
+from ltsim.campaigns.true_network import TrueNetwork, make_true_network
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TRIALS = 5
 
 
-def drawn(name: str) -> dict[int, CellTruth]:
+def drawn(name: str) -> dict[int, TrueNetwork]:
     """Truths whose pointings come in different orders."""
     scenario = change_scenario(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
-    common = make_cell_truth(scenario, 8, "campaign")
-    return {k: make_cell_truth(scenario, 8, "campaign", k, reference_truth=common) for k in range(TRIALS)}
+    common = make_true_network(scenario, 8, "campaign")
+    return {k: make_true_network(scenario, 8, "campaign", k, reference_network=common) for k in range(TRIALS)}
 
 
 @pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
@@ -41,7 +41,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
             BatchCalibrator(truth, misalignment_construction()),
             TrialEvaluator(truth),
         )
-        assert np.abs(own.reading_deviations - block.single_trials[k].reading_deviations).max() < 1e-12
+        assert np.abs(own.reading_deviations - block.single_trial_batches[k].reading_deviations).max() < 1e-12
         theirs = engine.calibrate(own)
         assert found.instrument_sigmas[:, :, k] == pytest.approx(theirs.instrument_sigmas, rel=1e-9)
         assert (
@@ -59,7 +59,7 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     truths = drawn("paper-workshop")
     ((stack, numbers),) = stack_geometries(truths)
     block = stack.draw_numbered_trials(8, numbers)
-    block.single_trials[3].reading_deviations[11, 0] += 0.02
+    block.single_trial_batches[3].reading_deviations[11, 0] += 0.02
     block.reading_deviations[stack.recording_row_of_pointing[:, 3] == 11, 0, 3] += 0.02
     calibrator = StackCalibrator.for_stack(CalibrationMethod(), stack)
     found: CalibratedBatch = calibrator.calibrate(block, np.arange(TRIALS))

@@ -53,7 +53,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
 
 def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, Path]) -> None:
     _, stopped, full = folders
-    found, whole = (CampaignResults(folder).distribution("target_error_um") for folder in (stopped, full))
+    found, whole = (CampaignResults(folder).statistic_summaries("target_error_um") for folder in (stopped, full))
     assert [s.trials for s in whole] == [2048] * 4
     trials = [s.trials for s in found]
     assert trials[0] < trials[3] < trials[2] < 2048  # much noise in one face needs most

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import RecordError
 from ltsim.recordings.settings import validate_settings

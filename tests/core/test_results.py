@@ -22,7 +22,7 @@ from ltsim.core.equality import ValueEquality, equal_values
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
 from ltsim.reports.verbs import View
-from ltsim.simulation.inject import DetectionCurve
+from ltsim.simulation.injector import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 from tests.families import family
 
@@ -72,7 +72,7 @@ def test_a_table_is_written_and_read_back():
 def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
     table = POINTS.with_rows(ROWS)
     assert table.headings == ["target", "x [mm]", "share [%]", "moved"]
-    assert table.cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
+    assert table.displayed_cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
     assert table.meanings["x [mm]"] == "coordinate"
     assert table.text().splitlines()[1].startswith("=T1     1000.123 +- 0.012")
 
@@ -264,7 +264,7 @@ def test_what_has_no_picture_says_so(kept):
 
 
 def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
-    column = Column("x_mm", "coordinate", display_format=".4f", rounding_column="sigma_x_mm")
+    column = Column("x_mm", "coordinate", display_format=".4f", uncertainty_column="sigma_x_mm")
     assert [column.displayed_text(v) for v in (-1.7e-22, -0.00004, -0.00006, 0.0)] == [
         "0.0000",
         "0.0000",

@@ -167,7 +167,7 @@ def test_another_name_of_a_file_is_not_appended_to(tmp_path: Path) -> None:
     assert (tmp_path / "folder" / "lines").read_text() == "mine\nmore\nmore\n"
     os.link(tmp_path / "mine", tmp_path / "folder" / "lock")
     with pytest.raises(RecordError, match="hard link"):
-        storage.require_single_name(tmp_path / "folder", "lock")
+        storage.require_no_link(tmp_path / "folder", "lock")
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path: Path) -> None:

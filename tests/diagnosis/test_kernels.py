@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, ranked_indices
 
 CODE = """
@@ -68,7 +68,7 @@ def test_a_choice_among_equal_values_does_not_follow_rounding() -> None:
     values = np.array([1.0, 7.0, 7.0 + 1e-9, 7.0 - 1e-9, 2.0])
     rng = np.random.default_rng(1)
     for _ in range(20):
-        rounded = values + 0.01 * MAX_SOLUTION_ROUNDING_ERROR * rng.standard_normal(len(values))
+        rounded = values + 0.01 * NORMAL_EQUATIONS_TOLERANCE * rng.standard_normal(len(values))
         assert index_of_largest(rounded) == 2
         assert ranked_indices(rounded).tolist() == [1, 2, 3, 4, 0]
     assert ranked_indices(np.array([])).tolist() == []

@@ -61,7 +61,7 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
     lengths = [{"name": f"length {i}", "kind": "distance", "targets": ["T01", "T12"]} for i in range(1_001)]
     with pytest.raises(ModelError, match="the tasks have 1001 results, expected at most 1000: divide them"):
         evaluate_tasks(recording, tasks(task=lengths))
-    monkeypatch.setattr("ltsim.measurands.propagation.MAX_TRIALS_TIMES_RESULTS", 20_000)
+    monkeypatch.setattr("ltsim.measurands.propagation.MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS", 20_000)
     few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "max_trials": 5_000_000}))
     assert few.monte_carlo_uncertainty.n_trials == 10_000
     assert any("divide the tasks among task files" in warning for warning in few.warnings)

@@ -302,7 +302,7 @@ def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
     assert repr(result).splitlines()[0] == content.summary == repr(content).splitlines()[0]
     shown = result_section(content).terminal_text()
     for name in ("stations", "tradeoff"):
-        assert all(cell in shown for row in result.table(name).cells() for cell in row)
+        assert all(cell in shown for row in result.table(name).displayed_cells() for cell in row)
     with pytest.raises(ModelError, match=r"^a plan read from a file has no arrays"):
         content.plot()
 

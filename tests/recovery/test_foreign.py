@@ -70,17 +70,17 @@ def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     found, own = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
     k = own.parameter_names.index("beam-tilt")
     beside = [
-        trial.ltsim_score.estimates[found.parameter_names.index("beam-tilt")] for trial in found.trials_with_result
+        trial.ltsim_score.estimates[found.parameter_names.index("beam-tilt")] for trial in found.available_trial_scores
     ]
-    assert beside == pytest.approx([trial.estimates[k] for trial in own.trials_with_result], rel=1e-12)
+    assert beside == pytest.approx([trial.estimates[k] for trial in own.available_trial_scores], rel=1e-12)
     assert result.ltsim_parameters == own.parameter_names
-    (sentence,) = result.comparison_sentences()
+    (sentence,) = result.unestimated_parameter_sentences()
     assert (
         f"estimates {len(ERRORS)} parameters" in sentence and f"ltsim estimates {len(own.parameter_names)}" in sentence
     )
     others = [name for name in own.parameter_names if name not in ERRORS]
     assert f"also {others[0]}, " in sentence and sentence in str(result)
-    assert lt.recover(SCENE, trials=2, seed=2).comparison_sentences() == []
+    assert lt.recover(SCENE, trials=2, seed=2).unestimated_parameter_sentences() == []
     table = result.to_dataframe("parameters")
     assert tuple(table["parameter"]) == found.parameter_names and np.all(
         table["absolute_error_difference_low"] <= table["absolute_error_difference_high"]
@@ -257,10 +257,12 @@ def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters()
                     {"transit-tilt": (5.0, 3.0, "urad"), "beam-tilt": (0.008, 0.003, "mrad")}])  # fmt: skip
     found = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers)).arrays
     assert (
-        found.trials_with_result[0].parameter_units == found.trials_with_result[1].parameter_units == ("urad", "urad")
+        found.available_trial_scores[0].parameter_units
+        == found.available_trial_scores[1].parameter_units
+        == ("urad", "urad")
     )
     np.testing.assert_allclose(
-        [trial.estimates for trial in found.trials_with_result], [found.trials_with_result[0].true_values] * 2
+        [trial.estimates for trial in found.available_trial_scores], [found.available_trial_scores[0].true_values] * 2
     )
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
     partial = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))

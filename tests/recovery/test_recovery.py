@@ -12,13 +12,13 @@ from scipy import stats
 import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, mean_check, parameter_checks
+from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, parameter_checks, unit_mean_check
 from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, run_trials, with_errors_from_prior
 from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
 from ltsim.simulation.simulator import measure_trial
 from tests.families import family
@@ -72,7 +72,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
     for what in ("target_mean_square", "station_mean_square"):
-        assert np.mean([getattr(t.network_score, what) for t in trials.trials_with_result]) == pytest.approx(
+        assert np.mean([getattr(t.network_score, what) for t in trials.available_trial_scores]) == pytest.approx(
             1.0, abs=0.08
         )
 
@@ -187,11 +187,11 @@ def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> 
 
 def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
     values = 1.0 + 0.3 * np.random.default_rng(0).standard_normal(40)
-    right = mean_check("targets", "mean", values, 1e-3)
+    right = unit_mean_check("targets", "mean", values, 1e-3)
     assert right.passed
-    assert mean_check("targets", "mean", 100 * values, 1e-3).upper_limit == pytest.approx(right.upper_limit)
+    assert unit_mean_check("targets", "mean", 100 * values, 1e-3).upper_limit == pytest.approx(right.upper_limit)
     values[:4] = 500.0
-    assert mean_check("targets", "mean", values, 1e-3).upper_limit < right.upper_limit + 0.15
+    assert unit_mean_check("targets", "mean", values, 1e-3).upper_limit < right.upper_limit + 0.15
 
 
 def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
@@ -225,7 +225,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
     )
     failures = recovery(good, good, None).failed_checks()
     assert failures[0].subject == "convergence"
-    assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
+    assert not unit_mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 
 
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

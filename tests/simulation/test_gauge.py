@@ -8,18 +8,18 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import InputError
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, ScenarioGauge
 from ltsim.simulation.simulator import error_free_recording, trial_distributions
 from ltsim.simulation.workshop import (
     PAPER_TABLE_2_LENGTHS,
-    expansion_factor,
+    cmm_length_sigmas,
+    gauge_expansion_factor,
     gauge_points_in_workshop,
     gauge_rotation,
     make_gauge_frame,
-    measure_nominal_points,
-    measured_length_sigmas,
+    measure_points_by_cmm,
     points_from_distances,
 )
 
@@ -77,8 +77,10 @@ def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
     points = gauge_points_in_workshop(gauge, frame, 27.0)
     grown = np.linalg.norm(points[frame.first_targets] - points[frame.second_targets], axis=1)
     assert (grown - frame.lengths)[0] == pytest.approx(357.6066e-3 * 23.2e-6 * 7, rel=1e-6)
-    assert expansion_factor(gauge, 20.0) == 1.0
-    assert expansion_factor(ScenarioGauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(1 + 23.2e-5)
+    assert gauge_expansion_factor(gauge, 20.0) == 1.0
+    assert gauge_expansion_factor(ScenarioGauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(
+        1 + 23.2e-5
+    )
 
 
 def test_certificate_scatters_as_the_machine_promises() -> None:
@@ -86,7 +88,7 @@ def test_certificate_scatters_as_the_machine_promises() -> None:
     lengths = make_gauge_frame(work.scenario.gauge).lengths
     drawn = trial_distributions(work, error_free_recording(work)).draw(StandardNormalSource(1, np.arange(400)))
     gaps = drawn.certified_lengths.T - lengths
-    sigma = measured_length_sigmas(CoordinateMeasuringMachine(), lengths)
+    sigma = cmm_length_sigmas(CoordinateMeasuringMachine(), lengths)
     assert sigma[0] * 1e6 == pytest.approx((2.3 + 357.6066 / 300) / 2)
     np.testing.assert_allclose(gaps.std(axis=0) / sigma, 1.0, atol=0.15)
     np.testing.assert_allclose(np.corrcoef(gaps.T), np.eye(6), atol=0.2)
@@ -99,9 +101,9 @@ def test_nominal_points_keep_the_machine_within_its_largest_error() -> None:
     length = np.linalg.norm(points[first] - points[second], axis=1)
     gaps = []
     for k in range(400):
-        measured = measure_nominal_points(points, names, CoordinateMeasuringMachine(), 1, k)
+        measured = measure_points_by_cmm(points, names, CoordinateMeasuringMachine(), 1, k)
         gaps.append(np.linalg.norm(measured[first] - measured[second], axis=1) - length)
-    limit = 2 * measured_length_sigmas(CoordinateMeasuringMachine(), length)
+    limit = 2 * cmm_length_sigmas(CoordinateMeasuringMachine(), length)
     assert 0.93 < np.mean(np.abs(gaps) < limit) <= 1.0
     assert np.mean(np.abs(gaps) < 0.3 * limit) < 0.7
 

@@ -17,7 +17,7 @@ from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording
-from ltsim.simulation.inject import DetectionCurve
+from ltsim.simulation.injector import DetectionCurve
 
 TWICE = {"work.faces": 2}
 

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.truth import make_cell_truth
+from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction
@@ -55,7 +55,7 @@ def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
 
 def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
     assert not planned_survey(lt.scenario("paper-workshop", RANGES)).records_angles
-    assert make_cell_truth(lt.scenario("paper-workshop", RANGES), 1).is_recorded_observable.tolist() == [
+    assert make_true_network(lt.scenario("paper-workshop", RANGES), 1).is_recorded_observable.tolist() == [
         True,
         False,
         False,

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import InputError
 from ltsim.simulation.builtin import builtin_names, builtin_text
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import PAPER_PRIOR, PRESETS
 

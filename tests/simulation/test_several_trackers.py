@@ -14,7 +14,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import read_truth, write_truth

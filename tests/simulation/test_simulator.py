@@ -16,7 +16,7 @@ from ltsim.physics.effects import CATALOGUE, Effect, find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import exact_readings, measure_trial, simulate
 from ltsim.simulation.truth import Truth
@@ -316,6 +316,6 @@ def test_an_effect_without_anything_to_act_on_is_told() -> None:
 
 def test_a_recording_of_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A million took 1 GB and 31 s."""
-    monkeypatch.setattr("ltsim.simulation.fieldwork.MAX_SIMULATED_POINTINGS", 139)
+    monkeypatch.setattr("ltsim.simulation.measurement_geometry.MAX_SIMULATED_POINTINGS", 139)
     with pytest.raises(InputError, match="the scenario has 140 pointings, expected at most 139: give fewer"):
         simulate(load_scenario("paper-workshop"), 1)

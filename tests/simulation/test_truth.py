@@ -10,7 +10,7 @@ from ltsim.adjustment.evaluation.criteria import read_nominal
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
-from ltsim.simulation.truth import Truth, nominal_csv, read_truth, write_truth
+from ltsim.simulation.truth import Truth, nominal_points_csv, read_truth, write_truth
 
 EFFECTS = [
     {"name": "station-settling", "stations": ["S3"], "draw": True, "shape": {"time_constant": 9.0}},
@@ -55,7 +55,7 @@ def test_nominal_points_are_what_verification_reads(tmp_path: Path) -> None:
     nominal = truth.arrays.nominal_points
     assert nominal is not None
     path = tmp_path / "nominal.csv"
-    path.write_text(nominal_csv(truth))
+    path.write_text(nominal_points_csv(truth))
     read = read_nominal(path)
     np.testing.assert_allclose([read[name] for name in truth.target_names], nominal, atol=0.6e-7)
     again = Truth.model_validate(truth.content()).arrays.nominal_points
@@ -65,7 +65,7 @@ def test_nominal_points_are_what_verification_reads(tmp_path: Path) -> None:
 
 def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
     with pytest.raises(ModelError, match="measures_targets = true"):
-        nominal_csv(truth)
+        nominal_points_csv(truth)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
 from ltsim.scene.visibility import InvisibilityReason, nest_normals_of_smallest_incidence, shadow_cone_radii
-from ltsim.simulation.fieldwork import make_measurement_geometry
+from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import (

@@ -21,7 +21,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_RESULT_LIST_ENTRIES
 from ltsim.core.notation import with_sigma
-from ltsim.core.results import Table, columns_of, number_columns
+from ltsim.core.results import Table, model_columns, number_columns
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES
 from ltsim.recordings.files import read_text
@@ -73,7 +73,7 @@ class BenchRow(Entry):
 ANGLES_TABLE = Table(
     "angles.csv",
     "range error of the reflector as a function of the incidence angle",
-    columns_of(
+    model_columns(
         BenchRow,
         angle_deg={"title": "incidence", "display_format": "+.1f"},
         uncorrected_length_um={"display_format": ".2f"},

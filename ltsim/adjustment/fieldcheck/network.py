@@ -19,7 +19,7 @@ from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.physics.model.construction import declared_construction
@@ -258,7 +258,7 @@ def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Che
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
-    tests = scaled_reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
+    tests = scaled_reference_tests(fitted.problem, fitted.solution, SQRT_MACHINE_EPSILON)
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     check_items = []

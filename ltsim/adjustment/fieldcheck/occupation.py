@@ -22,7 +22,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.significance import MIN_CHECKED_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
@@ -154,14 +154,14 @@ class StationOccupation:
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
         column_norms = np.linalg.norm(columns, axis=0)
-        column_norms[column_norms < np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
+        column_norms[column_norms < np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
         return np.where(column_norms > 0, columns / np.where(column_norms > 0, column_norms, 1.0), 0.0), column_norms
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of a suspected cause; `design` (n, 3, c) is the change of n pointings per unit of its c parameters."""
         unit, length = self._projected_unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        is_valid = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
+        is_valid = size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)
         coefficients = u[:, is_valid].T @ self.whitened_residuals.ravel()
         inverse = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = inverse @ inverse.T
@@ -184,7 +184,7 @@ class StationOccupation:
         `design` (n, 3, c) is the change of the readings of n pointings per unit of each parameter.
         """
         u, size, _ = np.linalg.svd(self._projected_unit_columns(design)[0], full_matrices=False)
-        added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
+        added = u[:, size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
         basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
         return replace(
@@ -256,7 +256,7 @@ def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tup
     for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
-        is_independent = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
+        is_independent = size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)
         basis = np.where(is_independent, u, 0.0)
         bases[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
         ranks += int(is_independent.sum())

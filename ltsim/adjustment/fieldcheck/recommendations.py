@@ -5,7 +5,7 @@ from ltsim.adjustment.identification.recommendations import (
     RECOMMENDATION_BY_CAUSE_KIND,
     recommendations_for_causes,
 )
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 
 RECOMMENDATION_BY_FAILED_TESTS = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
@@ -32,7 +32,7 @@ def recommendations_after_check(check: Check) -> list[str]:
         items = [item for item in failed_items if _recommendation_kind(item) in kinds]
         targets = list(dict.fromkeys(name for item in items for name in item.targets))
         stations = list(dict.fromkeys(item.station for item in items if item.station))
-        place = listing(targets or stations)
+        place = names_text(targets or stations)
         if items:
             actions.append(action.format(place=place or "the set-ups", at_place=f" at {place}" if place else ""))
     return list(dict.fromkeys(actions))

@@ -16,7 +16,7 @@ from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.arrays import Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Table, columns_of, number_columns, text_columns
+from ltsim.core.results import Table, model_columns, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.recordings.recording import Recording
@@ -103,7 +103,7 @@ def item_from_cause(test: CauseTest) -> CheckItem:
 ITEMS_TABLE = Table(
     "items.csv",
     "tests of the field check",
-    columns_of(CheckItem, "station kind passed p_value sentence", p_value={"kind": "p_value"}),
+    model_columns(CheckItem, "station kind passed p_value sentence", p_value={"kind": "p_value"}),
 )
 TWO_FACE_TABLE = Table(
     "two_face.csv",

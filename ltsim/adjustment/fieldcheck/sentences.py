@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Ints
-from ltsim.core.notation import listing, with_sigma
+from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.specification import noise_origin
@@ -89,7 +89,7 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
         return f"{name}: no outlier"
     first_target = recording.targets[recording.target[outlier_indices[0]]]
     rows_of_target = np.flatnonzero(recording.target == recording.target[outlier_indices[0]])
-    other_rows = listing([str(row_numbers[i]) for i in outlier_indices[1:]])
+    other_rows = names_text([str(row_numbers[i]) for i in outlier_indices[1:]])
     others_text = (
         f", and so is row {other_rows}"
         if len(outlier_indices) == 2

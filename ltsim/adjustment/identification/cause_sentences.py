@@ -21,7 +21,7 @@ from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, s
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import listing, with_sigma
+from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.laws.centring import shared_errors_sentence
@@ -101,7 +101,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
             f"along the normals of their nests, {side} the nests: {cause}."
         )
     if hypothesis.kind == "reflector-seating":
-        rows_text = f"rows {listing([str(row) for row in seating_row_numbers(fit, hypothesis)])}"
+        rows_text = f"rows {names_text([str(row) for row in seating_row_numbers(fit, hypothesis)])}"
         return (
             f"The reflector at {hypothesis.targets[0]} was displaced by {size_text} while {hypothesis.stations[0]} "
             f"measured it ({rows_text}): dirt in the nest, or another nest."

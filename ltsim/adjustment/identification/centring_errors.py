@@ -29,7 +29,7 @@ from ltsim.adjustment.identification.hypothesis import CauseHypothesis, Centring
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.significance import MIN_MEAN_REPEATS, MIN_REPEATS_FOR_VARIANCE
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.effects.motions import exact_change_by_displacement
@@ -138,7 +138,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
         np.add.at(score, of, np.einsum("nki,nk->ni", slope, residual / sigma))
         step = np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
         displacement = displacement + step
-        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+        if np.abs(step).max() < SQRT_MACHINE_EPSILON:
             break
     motion = np.zeros((3 * len(first), 0))
     if place.centring_uncertainty.stations:
@@ -210,7 +210,7 @@ def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints)
     design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation_indices))
     projected = residual_space.project(design_columns)
     strength, turn = np.linalg.eigh(projected.T @ projected)
-    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
+    visible = strength > NORMAL_EQUATIONS_TOLERANCE * float(np.max(np.sum(design_columns**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ residual_space.whitened_residuals)) ** 2
     variance = CENTRING_SIGMA_GRID[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_variance
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
@@ -62,7 +62,7 @@ def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> 
         residual = length - size
         step = np.linalg.lstsq(design, residual)[0]
         motion, length = motion + step[:6], length + float(step[6])
-        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+        if np.abs(step).max() < SQRT_MACHINE_EPSILON:
             break
     n_redundant = len(displacements) - design.shape[1]
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / n_redundant))

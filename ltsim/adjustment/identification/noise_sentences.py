@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor
 from ltsim.adjustment.stochastic_model import noise_declaration_texts
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
@@ -49,4 +49,4 @@ def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
         if mask[:, k].any()
         for setting in noise_declaration_texts(recording, observable, float(np.median(factors[mask[:, k], k])))
     ]
-    return f"set {listing(settings, len(settings))} in [instrument.noise]"
+    return f"set {names_text(settings, len(settings))} in [instrument.noise]"

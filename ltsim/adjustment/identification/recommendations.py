@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Sequence
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
-from ltsim.core.notation import count_text, listing
+from ltsim.core.notation import count_text, names_text
 
 RECOMMENDATION_BY_CAUSE_KIND = {
     "outlier": "Measure again {rows}.",
@@ -66,10 +66,10 @@ def recommendation_at_place(
     It is empty if the kind of the cause has no action.
     """
     names = (*stations, *targets)
-    place = listing(names, len(names)) if names else "the set-ups"
+    place = names_text(names, len(names)) if names else "the set-ups"
     action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)
     row = f" (row {rows[0]})" if len(rows) == 1 else ""
-    target_text = listing(targets, len(targets)) or "the reading"
+    target_text = names_text(targets, len(targets)) or "the reading"
     reading_text = f"{target_text}{' from ' if stations else ''}{', '.join(stations)}{row}"
     setups = "this set-up" if len(stations) == 1 else "these set-ups" if names else "all set-ups"
     at_place = f" at {place}" if names else ""
@@ -86,7 +86,7 @@ def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
     index_errors = (test for test in faults if _is_vertical_index_error(test))
     stations = list(dict.fromkeys(name for test in index_errors for name in test.where.stations))
     if len(stations) > 1:
-        actions.append(INDEX_DRIFT_RECOMMENDATION.format(stations=listing(stations)))
+        actions.append(INDEX_DRIFT_RECOMMENDATION.format(stations=names_text(stations)))
     return list(dict.fromkeys(filter(None, actions)))
 
 
@@ -113,7 +113,7 @@ def corrections_sentence(tests: Iterable[CauseTest], excluded_reference_names: C
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    place_text = f" at {listing(list(places))}" if places else ""
+    place_text = f" at {names_text(list(places))}" if places else ""
     dof = sum(test.dof for test in faults if test.sigma is not None)
     degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
     return f"The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."

@@ -38,7 +38,7 @@ from ltsim.adjustment.reference_values import with_nonzero_reference_sigmas
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.errors import NetworkError
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.solve.gauss_newton import solve
@@ -146,7 +146,7 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
             score = np.einsum("mhi,m->hi", unit, residual_space.whitened_residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > MAX_SOLUTION_ROUNDING_ERROR
+            visible = strength > NORMAL_EQUATIONS_TOLERANCE
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
             value = np.array([_log_evidence_gain(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])

@@ -24,7 +24,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_SQUARED_CORRELATION
 from ltsim.core.arrays import Floats, Ints, batches
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
@@ -152,7 +152,7 @@ def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[
             norm = np.linalg.norm(whole, axis=0)
             scaled = residual_space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal_columns(scaled, np.ones(len(norm)))
-            information, share, rank = visible_information(scaled.T @ scaled, norm, MAX_SOLUTION_ROUNDING_ERROR)
+            information, share, rank = visible_information(scaled.T @ scaled, norm, NORMAL_EQUATIONS_TOLERANCE)
             visible_effects.append((effect, information, float(share), int(rank), basis))
     return effect_detectability(visible_effects, len(variants)) if visible_effects else None
 
@@ -219,7 +219,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
         adjustment.problem.prior.sigma[0][indices],
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
-    information[np.diag(information) * prior**2 < MAX_ROUNDING_ERROR] = 0.0
+    information[np.diag(information) * prior**2 < SQRT_MACHINE_EPSILON] = 0.0
     minimal_sizes = _minimal_sizes(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
 

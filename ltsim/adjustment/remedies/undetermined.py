@@ -23,7 +23,7 @@ from ltsim.adjustment.remedies.candidates import (
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
@@ -50,7 +50,7 @@ class ParameterCombination:
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients with absolute values above 0.1, by parameter name; the largest is first and positive."""
         abs_coefficients = np.abs(self.coefficient_vector)
-        order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
+        order = np.argsort(-np.round(abs_coefficients / NORMAL_EQUATIONS_TOLERANCE), kind="stable")
         sign = np.sign(self.coefficient_vector[_index_of_first_largest(abs_coefficients)])
         return {
             names[i]: float(sign * self.coefficient_vector[i])
@@ -81,16 +81,17 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     vectors = np.concatenate([rotate_to_simple_structure(vectors[:, is_silent]), vectors[:, ~is_silent]], axis=1)
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled_covariance, vectors)
-    gain = np.where(gain < MAX_ROUNDING_ERROR, 0.0, gain)
+    gain = np.where(gain < SQRT_MACHINE_EPSILON, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
     return sorted(
-        weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _index_of_first_largest(np.abs(d.coefficient_vector)))
+        weak,
+        key=lambda d: (round(d.gain / SQRT_MACHINE_EPSILON), _index_of_first_largest(np.abs(d.coefficient_vector))),
     )
 
 
 def _index_of_first_largest(sizes: Floats) -> int:
     """Index of the first value that is the largest up to rounding."""
-    return int(np.flatnonzero(sizes >= (1.0 - MAX_SOLUTION_ROUNDING_ERROR) * sizes.max())[0])
+    return int(np.flatnonzero(sizes >= (1.0 - NORMAL_EQUATIONS_TOLERANCE) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
@@ -112,14 +113,14 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
             u, v = x**2 - y**2, 2.0 * x * y
             sine = 2.0 * (u @ v - u.sum() * v.sum() / len(u))
             cosine = u @ u - v @ v - (u.sum() ** 2 - v.sum() ** 2) / len(u)
-            if np.hypot(sine, cosine) > MAX_ROUNDING_ERROR:
+            if np.hypot(sine, cosine) > SQRT_MACHINE_EPSILON:
                 angle = 0.25 * np.arctan2(sine, cosine)
                 columns[i], columns[j] = (
                     np.cos(angle) * x + np.sin(angle) * y,
                     np.cos(angle) * y - np.sin(angle) * x,
                 )
                 largest = max(largest, abs(angle))
-        if largest < MAX_ROUNDING_ERROR:
+        if largest < SQRT_MACHINE_EPSILON:
             break
     return np.array(columns).reshape(-1, len(vectors)).T
 

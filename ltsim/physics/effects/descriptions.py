@@ -10,7 +10,7 @@ from typing import Self
 from pydantic import ConfigDict
 
 from ltsim.core.descriptions import DescribedModel
-from ltsim.core.results import Result, Table, columns_of, text_columns
+from ltsim.core.results import Result, Table, model_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, DOCSTRING_SECTIONS, ListedEffect, catalogue_entry
 from ltsim.physics.effects.effect import Parameter, ShapeParameter
@@ -169,7 +169,7 @@ class EffectDescription(Description):
 CATALOGUE_TABLE = Table(
     "effects.csv",
     "effects of the catalogue",
-    columns_of(
+    model_columns(
         EffectDescription,
         "name observables scope base_rate meaning",
         name={"name": "effect"},
@@ -181,7 +181,7 @@ EFFECT_PARAMETERS_TABLE = Table(
     "parameters of effects",
     (
         *text_columns(effect="name of the effect"),
-        *columns_of(
+        *model_columns(
             ParameterDescription,
             "name plausible_size unit meaning",
             name={"name": "parameter"},
@@ -194,7 +194,7 @@ EFFECT_CONSTANTS_TABLE = Table(
     "constants of effects, for which a diagnosis searches",
     (
         *text_columns(effect="name of the effect"),
-        *columns_of(
+        *model_columns(
             ConstantDescription,
             "name lower_bound upper_bound unit meaning",
             name={"name": "constant"},

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressors import (
@@ -160,7 +160,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
     ]
-    floor = {n: MAX_ROUNDING_ERROR * (name_without_memory_prefix(n) not in sightings.covariates) for n in asked}
+    floor = {n: SQRT_MACHINE_EPSILON * (name_without_memory_prefix(n) not in sightings.covariates) for n in asked}
     return [n for n in asked if np.ptp(sightings.covariate_values[n]) > floor[n]]
 
 
@@ -236,7 +236,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
         for k in np.unique(np.quantile(np.abs(sightings.covariate_values[name]), DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
-        if k > MAX_ROUNDING_ERROR
+        if k > SQRT_MACHINE_EPSILON
     ]
 
 
@@ -375,7 +375,7 @@ def wave_frequencies(sightings: Sightings, covariate: str, max_cycles: float) ->
     """Angular frequencies [rad per unit of the covariate] of waves with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.covariate_values[covariate]))
     cycles = np.arange(1.0, max_cycles, WAVE_FREQUENCY_STEP)
-    return 2 * np.pi * cycles / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
+    return 2 * np.pi * cycles / span if span > SQRT_MACHINE_EPSILON else np.zeros(0)
 
 
 def wave_regressors(

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.scene.sightings import Sightings
 
 STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
@@ -69,7 +69,7 @@ def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[St
         if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
     ]
     _cache_states(sightings, states)
-    min_spans = {name: MAX_ROUNDING_ERROR * float(np.ptp(sightings.covariate_values[name])) for name in inputs}
+    min_spans = {name: SQRT_MACHINE_EPSILON * float(np.ptp(sightings.covariate_values[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived_cache[key]) > min_spans[key[0]]]
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_LGC_LINES
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
@@ -384,7 +384,7 @@ def _notes(lgc: _LgcContent) -> Iterator[str]:
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"
     if lgc.points_observed_in_frames:
-        frames = listing([*map(safe_excerpt, lgc.frames)])
+        frames = names_text([*map(safe_excerpt, lgc.frames)])
         sentence = f"*OBSXYZ observes {len(lgc.points_observed_in_frames)} points in a separate frame ({frames})"
         if all(name in lgc.points and lgc.points[name].is_fixed for name in lgc.points_observed_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"

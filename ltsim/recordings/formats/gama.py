@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -115,7 +115,7 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
     for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
     if names:
-        network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
+        network.notes.append(f"'/' in names of points is written '_': {names_text([*names.values()], 3)}")
 
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:

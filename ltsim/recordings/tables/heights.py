@@ -3,7 +3,7 @@
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.recordings.recording import HEIGHT_COLUMNS
 from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
@@ -35,7 +35,9 @@ def covariates_with_instrument_heights(
         empty_rows = np.flatnonzero(np.isnan(filled)).tolist()
         if empty_rows:
             names = table.pointings.station if kind == "instrument" else table.pointings.target
-            names_text = listing(list(dict.fromkeys(names[row] for row in empty_rows)), 4)
-            notes.append(f"heights of {kind}s are empty in {len(empty_rows)} rows ({names_text}); they are taken as 0")
+            empty_row_names = names_text(list(dict.fromkeys(names[row] for row in empty_rows)), 4)
+            notes.append(
+                f"heights of {kind}s are empty in {len(empty_rows)} rows ({empty_row_names}); they are taken as 0"
+            )
         covariates = {**covariates, column: filled}
     return covariates, notes

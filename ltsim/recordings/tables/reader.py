@@ -234,11 +234,14 @@ def _additional_columns(
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
-    names_text = ", ".join(f"'{safe_excerpt(names[c.title])}'" for c in columns if c.title not in with_units)
+    covariate_names = ", ".join(f"'{safe_excerpt(names[c.title])}'" for c in columns if c.title not in with_units)
     return (
         covariates,
         labels,
-        [*units, *([f"additional columns are read as covariates and labels: {names_text}"] if names_text else [])],
+        [
+            *units,
+            *([f"additional columns are read as covariates and labels: {covariate_names}"] if covariate_names else []),
+        ],
     )
 
 

@@ -12,7 +12,7 @@ from itertools import groupby
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
@@ -99,7 +99,7 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
         for name in spellings[1:]
     }
     if spelling_by_name:
-        examples = listing(
+        examples = names_text(
             [f"'{name}' and '{first}'" for name, first in spelling_by_name.items()], MAX_NAMES_IN_SETUP_NOTE
         )
         notes.append(f"names that differ only in {SPELLING_DIFFERENCES_TEXT} are the same target: {examples}")
@@ -148,7 +148,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
 
 def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
     """Note on set-ups over targets whose names have another spelling, as a list; empty for an empty mapping."""
-    examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
+    examples = names_text([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
     text = f"a set-up and a target whose names differ only in {SPELLING_DIFFERENCES_TEXT} are one mark: {examples}"
     return [text] if mark_by_setup else []
 

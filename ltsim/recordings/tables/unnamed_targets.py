@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.notation import listing
+from ltsim.core.notation import names_text
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
@@ -47,7 +47,7 @@ def with_placeholder_target_name(table: PointingTable, hints: Hints, file: objec
         raise UnnamedTargetsError(message, file=file)
     titles = [] if hints.station is not None else _possible_name_titles(table)
     if titles:
-        titles_text = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
+        titles_text = names_text([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
         message = (
             f'names no points, and {titles_text} may contain names; give --columns "target={titles[-1]}", or --hint '
             "station=NAME if one target moved and one set-up measured it"
@@ -117,7 +117,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     if len(shared) < MIN_COINCIDENT_POSITIONS:
         return []
     examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
-    names = listing([f"'{safe_excerpt(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
+    names = names_text([f"'{safe_excerpt(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
     return [
         f"separate targets have the same position at one set-up {len(shared)} times, such as {names}: if these are "
         "shots of one point, give them one name"

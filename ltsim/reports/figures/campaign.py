@@ -117,10 +117,10 @@ def sweep_points(
         if required not in (existing := list(dict.fromkeys(position[name] for position in places))):
             raise unknown_name_error(f"level of {name}", str(required), [str(level) for level in existing])
     floor_statistic = statistic.replace("error_calibrated", "error_true_parameters")
-    floors = results.distribution(floor_statistic) if floor_statistic != statistic else []
+    floors = results.statistic_summaries(floor_statistic) if floor_statistic != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
     points = []
-    for s in [*results.distribution(statistic), *lowest]:
+    for s in [*results.statistic_summaries(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
         if any(here[name] != required for name, required in levels.items()):
             continue

@@ -51,7 +51,7 @@ from ltsim.reports.formatting import (
     count_text,
     global_test_verdict,
     is_determined_by_readings,
-    listing,
+    names_text,
 )
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
@@ -287,7 +287,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     actions = recommendations_for_causes(corrected_faults(content.tests))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
-        reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
+        reading_names = names_text([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.fit_with_constants is not None:
         actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
@@ -321,7 +321,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
         n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN
     ]
     if undetermined:
-        note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
+        note += f" Not determined by the recording, so that the prior remains: {names_text(undetermined, 6)}."
     parameter_figure = partial(figures.parameters.parameter_estimates_figure, rows, true_in_display_units)
     blocks: list[Block] = [
         picture_if_few_items("Instrument parameters", parameter_figure, text, len(rows)),

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import (
-    ERRORS_TABLE,
+    ERRORS_BEFORE_AND_AFTER_TABLE,
     FACTORS_TABLE,
-    MEANS_BY_LEVEL_TABLE,
+    MEANS_BY_FACTOR_LEVEL_TABLE,
     RATIO_STATISTICS,
     ManifestFile,
+    error_columns_of_ratio,
     find_column,
-    ratio_columns,
 )
 from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number_text
@@ -49,7 +49,7 @@ from ltsim.reports.figures.campaign_factors import (
 from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_preset_names_text
 from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
-from ltsim.simulation.keys import key_description
+from ltsim.simulation.scenario_keys import key_description
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,7 +88,7 @@ def campaign_section(folder: Path) -> Section:
     """
     results = CampaignResults(folder)
     manifest = results.manifest
-    summaries = {name: results.distribution(name) for name in results.columns if ":" not in name}
+    summaries = {name: results.statistic_summaries(name) for name in results.columns if ":" not in name}
     z_scores, comparisons = results.z_score_summaries(), results.solver_comparisons()
     published_values = PUBLISHED_CRITERIA_BY_SCENARIO.get(str(manifest.settings.get("scenario", "")), {})
     distribution_blocks = _distribution_figures(results, published_values)
@@ -226,7 +226,7 @@ def _means_by_level_tables(
                 means_by_level.setdefault(key, []).append(s.mean)
     table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
     return table_blocks(
-        "Means over all combinations with the same level of a factor", MEANS_BY_LEVEL_TABLE.with_rows(table_rows)
+        "Means over all combinations with the same level of a factor", MEANS_BY_FACTOR_LEVEL_TABLE.with_rows(table_rows)
     )
 
 
@@ -264,7 +264,7 @@ def campaign_figure(results: CampaignResults) -> Figure:
     if len(results.levels) > 1:
         for column, (title, unit) in STATISTIC_TITLES.items():
             if column in results.columns:
-                return next(statistic_figures(results, results.distribution(column), title + unit, None))[1]()
+                return next(statistic_figures(results, results.statistic_summaries(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))
 
 
@@ -310,15 +310,15 @@ def _errors_before_and_after_tables(
     names = cell_descriptions(results)
     blocks: list[Block] = []
     for share in RATIO_STATISTICS:
-        entries = [summaries.get(name, []) for name in (*ratio_columns(share), share)]
+        entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
         rows = [
             [names[row_summaries[0].cell], row_summaries[0].method, *(_mean_text(s, "") for s in row_summaries)]
             for row_summaries in zip(*entries, strict=all(entries))
         ]
         point_kind = "new point" if share.startswith("new_point") else "point"
-        note = f"Raw: {_column_meaning(ratio_columns(share)[0])}. Share removed: {_column_meaning(share)}. "
+        note = f"Raw: {_column_meaning(error_columns_of_ratio(share)[0])}. Share removed: {_column_meaning(share)}. "
         note += "Noise floor: error after correction with the true parameters. In brackets: 95 % interval."
-        blocks += table_blocks(f"Error of a {point_kind}", ERRORS_TABLE.with_rows(rows), note=note)
+        blocks += table_blocks(f"Error of a {point_kind}", ERRORS_BEFORE_AND_AFTER_TABLE.with_rows(rows), note=note)
     return blocks
 
 
@@ -341,7 +341,7 @@ def _statistic_tables(
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
     }
     shown_table = _table_with_levels_as_in_file(
-        results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
+        results, cells.select_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = (
@@ -350,7 +350,7 @@ def _statistic_tables(
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed_trials)
     convergence_table = results.table("solver_comparisons")
     convergence_table = _table_with_levels_as_in_file(
-        results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
+        results, convergence_table.select_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
     return [
         *table_blocks(f"Statistics ({count_text(len(shown_table.rows), 'row')})", shown_table),

@@ -40,7 +40,7 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import capitalised_sentence, count_text, listing
+from ltsim.reports.formatting import capitalised_sentence, count_text, names_text
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     AdjustmentsWithoutAndWithParameters,
@@ -121,7 +121,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     )
     answer, simulation_notice = capitalised_sentence(content.summary), ""
     if truth is not None and truth.effects:
-        injected = listing(
+        injected = names_text(
             [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
         )
         simulation_notice = f"This recording is simulated, with {injected} injected. "
@@ -148,7 +148,9 @@ def _next_actions(content: Diagnosis) -> list[str]:
     moved_targets = [
         name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets
     ]
-    use_sentence += f" The coordinates of {listing(moved_targets)} are from before the motion." if moved_targets else ""
+    use_sentence += (
+        f" The coordinates of {names_text(moved_targets)} are from before the motion." if moved_targets else ""
+    )
     return [
         *separating_measurements[:1],
         *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
@@ -187,7 +189,7 @@ def _corrected_findings_text(content: Diagnosis) -> str:
     numbers = [
         str(number) for number, finding in enumerate(content.findings, start=1) if finding.is_corrected_before_search
     ]
-    return f"finding{'s' if len(numbers) > 1 else ''} {listing(numbers)}" if numbers else ""
+    return f"finding{'s' if len(numbers) > 1 else ''} {names_text(numbers)}" if numbers else ""
 
 
 def _chi2_per_dof_text(fit: Misfit) -> str:
@@ -321,7 +323,7 @@ def _finding_place_blocks(
 def _finding_scope_text(scope: FindingScope) -> str:
     """Text of the observables, instruments, stations, targets and covariates on which a finding acts."""
     place_texts = [
-        f"{word} {listing(list(names))}"
+        f"{word} {names_text(list(names))}"
         for word, names in (
             ("in", scope.observables),
             ("of instrument", scope.instruments),
@@ -353,7 +355,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
     ]
     largest_first = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
     with_titles = [u.model_copy(update={"effect": effect_title(u.effect)}) for u in largest_first]
-    table = UNDETECTABLE_TABLE.with_rows(with_titles).with_columns(
+    table = UNDETECTABLE_TABLE.with_rows(with_titles).select_columns(
         "effect undetected_target_error_um detectable_at_factor"
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))

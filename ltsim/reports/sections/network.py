@@ -18,7 +18,7 @@ from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra_error
 from ltsim.core.limits import MAX_NETWORK_SETUPS
-from ltsim.core.notation import MISSING_TEXT, listing, number_text
+from ltsim.core.notation import MISSING_TEXT, names_text, number_text
 from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction, ideal_construction
@@ -221,7 +221,7 @@ def coordinates_tables(
     note = f"U: expanded uncertainty, k = 2. {note}"
     if exact:
         verb, pronoun = ("have", "they define") if len(exact) > 1 else ("has", "it defines")
-        note += f" {listing(exact, 4)} {verb} no U in coordinates that are exact, because {pronoun} the frame."
+        note += f" {names_text(exact, 4)} {verb} no U in coordinates that are exact, because {pronoun} the frame."
     return table_blocks(title, STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=is_foldable)
 
 

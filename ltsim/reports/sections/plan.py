@@ -51,7 +51,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     blocks += undetermined_combination_tables("Not determined by this layout", content.undetermined)
     blocks += _detectability_blocks(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
+    points = content.table("reflectors").select_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_blocks("Points", points, note=note)
     if content.obstacle_sentences:
         blocks.append(BulletListBlock("Bodies in the hall", content.obstacle_sentences))
@@ -164,7 +164,7 @@ def _trade_off_blocks(content: Plan) -> list[Block]:
     ]
     alternatives = content.table("tradeoff")
     objective = "point_error_um" if any(alternatives.column("point_error_um")) else "objective_value"
-    shown_columns = alternatives.with_columns(f"station_count faces repeats pointings hours {objective} is_efficient")
+    shown_columns = alternatives.select_columns(f"station_count faces repeats pointings hours {objective} is_efficient")
     note = "A smaller objective is better."
     return [*blocks, *table_blocks("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 

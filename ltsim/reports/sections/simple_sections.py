@@ -41,7 +41,7 @@ from ltsim.reports.formatting import (
     count_text,
     duration_text,
     labels_without_common_prefix,
-    listing,
+    names_text,
     natural_sort_key,
 )
 
@@ -110,7 +110,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; detectable: "
         "the smallest motion that is detected with a probability of 80 %."
     )
-    shown_table = DISPLACEMENTS_TABLE.with_rows(d.table_row for d in points).with_columns(
+    shown_table = DISPLACEMENTS_TABLE.with_rows(d.table_row for d in points).select_columns(
         "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
     table = table_blocks(
@@ -125,7 +125,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
     figure = partial(figures.points.displacement_figure, content)
     picture = picture_if_few_items("Displacements", figure, caption, len(points))
-    action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
+    action = f"Inspect and re-measure these points before you use them as references: {names_text(moved_targets)}."
     if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
     actions = [*([action] if moved_targets else []), *recommendations_for_causes(content.corrected_faults)]
@@ -203,7 +203,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
 def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     """Section of the uncertainties of tasks."""
     judged_results = [r for r in content.results if r.conformity is not None]
-    results = content.table("results").with_columns(
+    results = content.table("results").select_columns(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
     )
     blocks: list[Block] = [*table_blocks("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
@@ -221,7 +221,7 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
         blocks += entries_table_blocks(head, [part for part in r.budget if part.variance_fraction > 1e-3], *fields)
     result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
-    answers = [f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names]
+    answers = [f"{word}: {names_text(names, 3)}" for word, names in result_texts_by_judgement.items() if names]
     answer = "; ".join(answers) or content.results[0].text
     coverage = f"{100 * content.coverage_probability:g} %"
     facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
@@ -282,7 +282,7 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         entry.with_values(most_improved_parameter=parameter_text(entry.most_improved_parameter))
         for entry in content.proposals
     ]
-    proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns(
+    proposals = PROPOSALS_TABLE.with_rows(in_words).select_columns(
         "action minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction"
     )
     note = f"{note} {_hall_rules_sentence(content)}".rstrip()
@@ -366,15 +366,15 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
     since, events = content.change_since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_relation_text(since.p_value)})"
     if events:
-        steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
-        names = listing(list(dict.fromkeys(e.name for e in events)))
+        steps = names_text(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
+        names = names_text(list(dict.fromkeys(e.name for e in events)))
         return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= FAMILY_WISE_LEVEL:
         between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_WISE_LEVEL]
-        exception = f", though it did between {listing(between)}" if between else ""
+        exception = f", though it did between {names_text(between)}" if between else ""
         return f"shows no change since the first {tested}{exception}."
     if knows_usual_changes:
         return f"changed no more than it usually does between calibrations {tested}."
-    names = listing(since.changed_parameters)
+    names = names_text(since.changed_parameters)
     phrase = f"mainly in {names}" if names else "in no single parameter significantly"
     return f"has changed since the first, {phrase} {tested}."

@@ -19,7 +19,7 @@ from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import figures
 from ltsim.reports.document_model import Block, PictureBlock, table_blocks
-from ltsim.reports.formatting import listing, typographic_text
+from ltsim.reports.formatting import names_text, typographic_text
 from ltsim.reports.residuals import OBSERVABLE_UNITS
 from ltsim.reports.sections.network import AdjustmentsWithoutAndWithParameters
 from ltsim.simulation.truth import AppliedEffect, Truth
@@ -36,7 +36,7 @@ INJECTED_TABLE = Table(
 
 def effect_place_text(effect: Any) -> str:
     """Text with the stations and targets at which an effect acts."""
-    return listing([*effect.stations, *effect.targets]) or "everywhere"
+    return names_text([*effect.stations, *effect.targets]) or "everywhere"
 
 
 def truth_blocks(

@@ -33,7 +33,7 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry
+from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
@@ -41,17 +41,17 @@ from ltsim.simulation.workshop import WorkshopLayout
 
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
-MAX_NONLINEARITY = 1e-3
+MAX_EFFECT_NONLINEARITY_SIGMAS = 1e-3
 """Largest difference between the exact and the linear change of a reading by an effect with the size of three prior
 standard deviations, divided by the standard deviation of the reading, at which the linear form of the effect is used
 for all trials. For a larger difference the exact change is computed trial by trial."""
 
-MAX_CACHED_DESIGNS = 8
+MAX_CACHED_EFFECT_DESIGNS = 8
 """Largest number of design matrices of effects, one for each combination of effects, that a network geometry keeps."""
 
 
-def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
-    """Result of `make_measurement_geometry` for a scenario of a campaign.
+def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
+    """Network geometry of a scenario of a campaign, with a check of its size.
 
     InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
     """
@@ -75,7 +75,7 @@ def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -
 class TrialBatch:
     """Batch of drawn trials: true values, readings and reference lengths of each trial."""
 
-    trials: Ints
+    trial_numbers: Ints
     """Numbers of the trials, (trials,)."""
     instrument_values: Floats
     """True instrument parameters, (instruments, parameters, trials) [SI]."""
@@ -85,18 +85,18 @@ class TrialBatch:
     """Readings minus nominal readings, (pointings, 3, trials) [m, rad, rad]."""
     length_errors: Floats
     """Declared minus true reference lengths, (lengths, trials) [m]."""
-    single_trials: tuple[TrialBatch, ...] = ()
+    single_trial_batches: tuple[TrialBatch, ...] = ()
     """Batch of one trial for each trial, in the order of its pointings, if network geometries differ; otherwise
     empty."""
 
     @property
     def true_values(self) -> Floats:
         """All true parameters (parameters, trials) [SI]: those of each instrument, then those of the effects."""
-        return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
+        return np.concatenate([self.instrument_values.reshape(-1, len(self.trial_numbers)), *self.effect_values])
 
 
 @dataclass(frozen=True)
-class CellTruth:
+class TrueNetwork:
     """True network geometry of a cell (combination of factor levels), and distributions of its random values."""
 
     recording: Recording
@@ -141,7 +141,7 @@ class CellTruth:
         """
         cache = self._effect_design_cache  # no cached function, whose reference to this object would keep both alive
         if effects not in cache:
-            while len(cache) >= MAX_CACHED_DESIGNS:
+            while len(cache) >= MAX_CACHED_EFFECT_DESIGNS:
                 del cache[next(iter(cache))]
             cache[effects] = self._effect_design(effects)
         return cache[effects]
@@ -217,7 +217,11 @@ class CellTruth:
             - constant
             - design @ (3 * effect_distribution.parameter_sigmas)
         )
-        return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
+        return (
+            (constant, design)
+            if np.all(np.abs(miss) <= MAX_EFFECT_NONLINEARITY_SIGMAS * self.recording.sigma())
+            else None
+        )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
         """Batch of `n_trials` drawn trials; its first trial has the number `batch_number` times `n_trials`."""
@@ -249,13 +253,15 @@ class CellTruth:
             reading_deviations = self._round_to_resolution(reading_deviations)
         lengths = self.distributions.reference_lengths
         length_errors = draw.certified_lengths * lengths.expansion_factors[:, None] - lengths.lengths[:, None]
-        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, reading_deviations, length_errors)
+        return TrialBatch(
+            draw.trial_numbers, draw.instrument_values, draw.effect_values, reading_deviations, length_errors
+        )
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
         """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, from the simulator."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
-        for k in range(len(draw.trials)):
+        for k in range(len(draw.trial_numbers)):
             amounts = tuple(amount[:, k] for amount in draw.effect_values)
             gap = (
                 simulate_readings(self.geometry, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])
@@ -308,17 +314,17 @@ class CellTruth:
         return readings
 
 
-def make_cell_truth(
+def make_true_network(
     scenario: Scenario,
     seed: int,
     *key: str | int,
-    reference_truth: CellTruth | None = None,
+    reference_network: TrueNetwork | None = None,
     planned_layout: WorkshopLayout | None = None,
-) -> CellTruth:
+) -> TrueNetwork:
     """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
-    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_truth` is
-    another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
+    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_network`
+    is another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
     `planned_layout` is the planned layout, if it was computed before.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
@@ -327,23 +333,23 @@ def make_cell_truth(
     geometry = make_measurement_geometry(scenario, seed, *key, plan=planned_layout)
     if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
         raise InputError("reflectors: a campaign uses one SMR radius; give all SMRs of the scenario the same radius")
-    s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
+    s, reference = geometry.sightings, None if reference_network is None else reference_network.recording
     if (
-        reference_truth
+        reference_network
         and reference
         and not scenario.lengths
         and (s.station_names, s.target_names) == (reference.stations, reference.targets)
     ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(reference_truth.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
+        there = replace(reference_network.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.ideal_raw_readings, notes=geometry.hidden_pair_notes),
             _state_in_start_frame(geometry, there.instrument_means),
         )
-        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)
+        return replace(reference_network, recording=nominal, state=state, distributions=there, geometry=geometry)
     recording = error_free_recording(geometry)
     population = trial_distributions(geometry, recording)
-    return CellTruth(
+    return TrueNetwork(
         recording=recording,
         state=_state_in_start_frame(geometry, population.instrument_means),
         distributions=population,

@@ -29,10 +29,10 @@ from ltsim.campaigns.columns import (
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
-from ltsim.campaigns.store import parquet_bytes, stored_statistics
+from ltsim.campaigns.store import parquet_bytes, stored_statistic_groups
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
+from ltsim.campaigns.true_network import TrialBatch, TrueNetwork, make_true_network
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import TRIALS_PER_STREAM
@@ -44,7 +44,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import placing_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
-CORRECTED_STATISTICS = {"criteria", "errors"}
+STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
 """Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
 """Largest number of trials that are calibrated together if each trial has a separate network geometry."""
@@ -103,8 +103,8 @@ class CellContext:
     @cached_property
     def shared_geometry_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
         """Evaluator for the network geometry that all trials share, and calibrators in the order of the methods."""
-        truth = make_cell_truth(self.scenario, self.campaign.seed)
-        return TrialEvaluator(truth), [make_calibrator(method, truth) for method in self.campaign.methods]
+        network = make_true_network(self.scenario, self.campaign.seed)
+        return TrialEvaluator(network), [make_calibrator(method, network) for method in self.campaign.methods]
 
     @cached_property
     def validation_evaluator(self) -> TrialEvaluator | None:
@@ -115,7 +115,7 @@ class CellContext:
         return (
             None
             if self.validation_scenario is None
-            else TrialEvaluator(make_cell_truth(self.validation_scenario, self.campaign.seed, VALIDATION_STREAM_KEY))
+            else TrialEvaluator(make_true_network(self.validation_scenario, self.campaign.seed, VALIDATION_STREAM_KEY))
         )
 
     @cached_property
@@ -152,10 +152,10 @@ class CellContext:
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
-            judge, calibrators = self.shared_geometry_evaluator_and_calibrators
+            evaluator, calibrators = self.shared_geometry_evaluator_and_calibrators
             size = self._max_batch_trials(TRIALS_PER_STREAM, 0)
             for number in range(first_trial // size, -(-end_trial // size)):
-                yield judge, calibrators, judge.truth.draw_batch(seed, number, size)
+                yield evaluator, calibrators, evaluator.true_network.draw_batch(seed, number, size)
             return
         size = self._max_batch_trials(MAX_TRIALS_PER_STACK, GEOMETRY_VALUES_PER_POINTING)
         for low in range(first_trial, end_trial, size):
@@ -173,7 +173,7 @@ class CellContext:
         """
         evaluators = (self.shared_geometry_evaluator_and_calibrators[0], self.validation_evaluator)
         values = 0
-        for recording in (evaluator.truth.recording for evaluator in evaluators if evaluator is not None):
+        for recording in (evaluator.true_network.recording for evaluator in evaluators if evaluator is not None):
             n_unknowns = 6 * len(recording.stations) + 3 * len(recording.targets)
             values += BATCH_VALUES_PER_SIGHT * len(recording.stations) * len(recording.targets)
             values += (BATCH_VALUES_PER_POINTING + geometry_values_per_pointing) * len(recording)
@@ -183,7 +183,7 @@ class CellContext:
             size //= 2
         return size
 
-    def _trial_geometries(self, trials: range) -> dict[int, CellTruth]:
+    def _trial_geometries(self, trials: range) -> dict[int, TrueNetwork]:
         """True network geometry of each trial with a possible geometry, by number of the trial.
 
         Each has the set-up of the network geometry that all trials of the cell share otherwise.
@@ -193,10 +193,10 @@ class CellContext:
             with suppress(InputError):
                 key, like = (
                     placing_stream_key(trial, self.campaign.geometry),
-                    self.shared_geometry_evaluator_and_calibrators[0].truth,
+                    self.shared_geometry_evaluator_and_calibrators[0].true_network,
                 )
-                geometries[trial] = make_cell_truth(
-                    self.scenario, seed, *key, reference_truth=like, planned_layout=self._planned_layout
+                geometries[trial] = make_true_network(
+                    self.scenario, seed, *key, reference_network=like, planned_layout=self._planned_layout
                 )
         return geometries
 
@@ -229,12 +229,12 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
     if task.existing_rows is None:
         return _compute_new_rows(task, 0)
     campaign, held = task.campaign, task.existing_rows
-    new_statistics = tuple(name for name in campaign.statistics if name not in stored_statistics(held))
+    new_statistics = tuple(name for name in campaign.statistics if name not in stored_statistic_groups(held))
     if not new_statistics:
         order = pa.array([method.title for method in campaign.methods])
-        whole = pa.concat_tables([held, _compute_new_rows(task, len(held) // len(order))], promote_options="default")
-        places = pa.compute.index_in(whole["method"], order).to_numpy()
-        return whole.take(np.lexsort((whole["trial"].to_numpy(), places))).combine_chunks()
+        table = pa.concat_tables([held, _compute_new_rows(task, len(held) // len(order))], promote_options="default")
+        method_indices = pa.compute.index_in(table["method"], order).to_numpy()
+        return table.take(np.lexsort((table["trial"].to_numpy(), method_indices))).combine_chunks()
     if len(held) < n_rows_of_shard(campaign, task.shard):
         return _compute_new_rows(task, 0)
     reduced_campaign = campaign.model_copy(
@@ -257,12 +257,12 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
     first, last = first_trial + n_existing_trials, min(first_trial + campaign.trials_per_shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
     missing_numbers = set(range(first, last))
-    for judge, calibrators, batch in cell.trial_batches(first, last):
-        numbers = batch.trials
+    for evaluator, calibrators, batch in cell.trial_batches(first, last):
+        numbers = batch.trial_numbers
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verified_trials_per_shard]
-        work = TrialBatchRows(campaign, judge, batch, cell.validation_evaluator, wanted, checked, truth_only)
+        work = TrialBatchRows(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -313,8 +313,8 @@ class TrialBatchRows:
         """
         if self.validation_evaluator is None:
             return None
-        normal_source = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)
-        batch = self.validation_evaluator.truth.draw_trials(
+        normal_source = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)
+        batch = self.validation_evaluator.true_network.draw_trials(
             normal_source, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
         )
         return self.validation_evaluator, batch, self.validation_evaluator.method_independent_columns(batch)
@@ -327,17 +327,17 @@ class TrialBatchRows:
         values, share = self.trial_batch.instrument_values, self.campaign.validation_drift
         if not share:
             return values
-        population = self.evaluator.truth.distributions
+        population = self.evaluator.true_network.distributions
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)(values[:, :, 0].size, "drift")
+        step = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)(values[:, :, 0].size, "drift")
         return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
         """Columns of the results of a method, as selected by the campaign's `statistics`."""
-        wanted, batch, truth = self.campaign.statistics, self.trial_batch, self.evaluator.truth
+        wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
         if self.has_truth_only:
-            calibrated = CalibratedBatch.from_failed_trials(truth, construction, effects, len(batch.trials))
+            calibrated = CalibratedBatch.from_failed_trials(network, construction, effects, len(batch.trial_numbers))
         else:
             calibrated = calibrator.calibrate(batch, self.requested_trial_indices)
         columns: ResultColumns = {"status": calibrated.status_indices, "chi2": calibrated.chi2}
@@ -346,7 +346,7 @@ class TrialBatchRows:
             columns[SOLVER_DIFFERENCE_COLUMN][place] = calibrator.largest_solver_difference(
                 batch, int(place), calibrated
             )
-        if CORRECTED_STATISTICS & {*wanted}:
+        if STATISTICS_OF_CORRECTED_READINGS & {*wanted}:
             judged = self.method_independent_columns | self.evaluator.method_columns(
                 batch, calibrated, construction, effects
             )
@@ -356,9 +356,9 @@ class TrialBatchRows:
                 for n, column_values in judged.items()
                 if (column := find_column(n)) and column.group in wanted
             }
-        labels = parameter_labels(construction, truth.recording.instruments, effects)
+        labels = parameter_labels(construction, network.recording.instruments, effects)
         true_labels = parameter_labels(
-            truth.construction, truth.recording.instruments, [law.effect for law in truth.effects]
+            network.construction, network.recording.instruments, [law.effect for law in network.effects]
         )
         (values, sigma), true = calibrated.estimates, batch.true_values
         if "z-scores" in wanted:
@@ -377,7 +377,7 @@ class TrialBatchRows:
             return {}
         there, batch, before = self.validation_batch
         nowhere = np.full(
-            (*there.truth.state.target_points.shape, len(calibrated_batch.chi2)), np.nan
+            (*there.true_network.state.target_points.shape, len(calibrated_batch.chi2)), np.nan
         )  # the targets of the held-out measurement are not adjusted
         columns = there.method_columns(
             batch, replace(calibrated_batch, target_errors=nowhere), calibrator.construction, calibrator.effects

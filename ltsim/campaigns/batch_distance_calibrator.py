@@ -28,10 +28,10 @@ from ltsim.calibration.distance_solver import (
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
 from ltsim.campaigns.chain_program import ChainProgram
-from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
-from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
+from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
+from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
-from ltsim.campaigns.truth import TrialBatch
+from ltsim.campaigns.true_network import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute
@@ -47,7 +47,7 @@ The remaining error is about a hundredth of this change.
 
 
 @dataclass(frozen=True)
-class BatchDistance(BatchCalibrator):
+class BatchDistanceCalibrator(BatchCalibrator):
     """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
 
     The unknowns are the parameters of all instruments. Methods whose name ends in `-l1` minimise absolute deviations,
@@ -70,7 +70,7 @@ class BatchDistance(BatchCalibrator):
     @cached_property
     def distance_problem(self) -> DistanceProblem:
         """Distance objective at the nominal network."""
-        recording = self.truth.recording
+        recording = self.true_network.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
@@ -102,24 +102,26 @@ class BatchDistance(BatchCalibrator):
 
         A step contains only the estimated combinations of parameters.
         """
-        rows, determined = self._mean_deviation_rows, self._estimated_combinations
+        rows, determined = self._mean_deviation_comparisons, self._estimated_combinations
         normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_deviation_rows(self) -> DistanceComparisons:
+    def _mean_deviation_comparisons(self) -> DistanceComparisons:
+        """Deviations of distances from their mean over the stations, at the nominal parameters."""
         return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
-    def _pair_difference_rows(self) -> DistanceComparisons:
+    def _pair_difference_comparisons(self) -> DistanceComparisons:
+        """Differences of a distance between two stations, or from the gauge, at the nominal parameters."""
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
     def _chain_program(self) -> ChainProgram:
-        return self.truth.chain_program(self.construction)
+        return self.true_network.chain_program(self.construction)
 
     @cached_property
-    def _pointing_sets(self) -> tuple[Ints, Bools, Floats, Ints]:
+    def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set and weight of each pointing, mask of the targets of each set, pairs of targets with a reference length.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
@@ -127,10 +129,10 @@ class BatchDistance(BatchCalibrator):
         (pointings,), pairs (lengths, 2).
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.station_face_indices
-        visible, share = measured_targets_and_weights(self.truth, sets)
+        visible, share = measured_targets_and_weights(self.true_network, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates of the trials, and mask (trials,) of the converged trials.
 
         The targets are adjusted from readings that are corrected by the estimated parameters.
@@ -138,7 +140,7 @@ class BatchDistance(BatchCalibrator):
         values, moved = (
             self._least_squares_values(trial_batch)
             if self.method == "distance"
-            else self._values_with_trial_normal_matrices(trial_batch, trial_numbers)
+            else self._values_with_trial_normal_matrices(trial_batch, trial_indices)
         )
         fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
@@ -156,19 +158,21 @@ class BatchDistance(BatchCalibrator):
         The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
         """
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
-        sets, visible, share, gauge = self._pointing_sets
-        recording, trials = self.truth.recording, deviation.shape[2]
+        sets, visible, share, gauge = self._distance_objective_arrays
+        recording, trials = self.true_network.recording, deviation.shape[2]
         reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + trial_batch.length_errors
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_FIT_STEPS):
             compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
-            add_station_means(points, sets, recording.target, share, clouds)
-            forces, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
-            distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
+            add_weighted_points(points, sets, recording.target, share, clouds)
+            mean_gradients, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
+            distance_gradient(clouds, visible, gauge, reference_lengths, mean_gradients, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            backpropagate_mean_forces(self._chain_program, *membership, deviation, parameter_values, forces, gradient)
+            backpropagate_mean_gradients(
+                self._chain_program, *membership, deviation, parameter_values, mean_gradients, gradient
+            )
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
@@ -176,17 +180,17 @@ class BatchDistance(BatchCalibrator):
                 break
         return parameter_values, moved
 
-    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[Floats, Floats]:
         """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
 
         The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
-        `trial_numbers` are the indices of the selected trials in the batch; the change of all other trials is infinite.
+        `trial_indices` are the indices of the selected trials in the batch; the change of all other trials is infinite.
         """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + trial_batch.reading_deviations[:, :, trial]
-            for trial in trial_numbers.tolist()
+            trial: self.true_network.recording.readings + trial_batch.reading_deviations[:, :, trial]
+            for trial in trial_indices.tolist()
         }
         combinations_by_trial = {
             trial: self._estimated_combinations
@@ -197,7 +201,7 @@ class BatchDistance(BatchCalibrator):
         for iteration in range(
             MAX_DISTANCE_FIT_STEPS if self.uses_absolute_deviations else MAX_WEAK_COMBINATION_FIT_STEPS
         ):
-            active = trial_numbers[moved[trial_numbers] >= MAX_LAST_STEP_AT_CONVERGENCE]
+            active = trial_indices[moved[trial_indices] >= MAX_LAST_STEP_AT_CONVERGENCE]
             if not len(active):
                 break
             residual = self._objective_terms(
@@ -205,7 +209,9 @@ class BatchDistance(BatchCalibrator):
             )
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
-                design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ combinations_by_trial[trial])
+                design = self._pair_difference_comparisons.comparison_matrix @ (
+                    by_unknown @ combinations_by_trial[trial]
+                )
                 if self.uses_absolute_deviations:  # every step except the first is short
                     step = solve_least_absolute(
                         design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
@@ -222,7 +228,7 @@ class BatchDistance(BatchCalibrator):
         They are the principal axes of the objective for the trial's `readings` (pointings, 3) that are nearest to the
         combinations estimated at the nominal readings (`_estimated_combinations`).
         """
-        design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
+        design = self._mean_deviation_comparisons.comparison_matrix @ self.distance_problem.parameter_derivatives(
             readings, np.zeros(self.distance_problem.prior_sigma.size)
         )
         axes = np.linalg.eigh(design.T @ design)[1]
@@ -241,9 +247,9 @@ class BatchDistance(BatchCalibrator):
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
+        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
-        rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
+        rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
@@ -252,10 +258,10 @@ class BatchDistance(BatchCalibrator):
         """Network adjustment of the trials, after correction of their readings by `parameter_values` [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
+        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
-        is_back_face = (self.truth.recording.face == 2)[:, None]
+        is_back_face = (self.true_network.recording.face == 2)[:, None]
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, horizontal)
         raw_readings = np.stack(
             [
@@ -265,6 +271,6 @@ class BatchDistance(BatchCalibrator):
             ],
             axis=1,
         )
-        corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
+        corrected_readings = raw_readings - self.true_network.recording.readings[:, :, None]
         corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
         return self.batch_network.fit_trials(corrected_readings, trial_batch.length_errors)

@@ -14,7 +14,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import ColumnValues, Result, Table, number_columns
-from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
@@ -41,7 +41,7 @@ class InjectedEffect(Result):
 
     effect: CandidateEffect
     """Effect of the catalogue, with the stations and targets where it acts."""
-    effect_text: str
+    effect_specification: str
     """Specification of the effect as the user wrote it, such as `range-offset:S3`."""
     parameter_values: Floats
     """Values of the parameters of the effect, shape (parameters,) [SI]."""
@@ -57,15 +57,15 @@ class InjectedEffect(Result):
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
         place = f" at {self.effect.place_text}" if self.effect.place_text else ""
-        return [f"Injected: {self.effect_text}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
+        return [f"Injected: {self.effect_specification}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameter_entries(self) -> list[tuple[Any, float]]:
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
 
     def _tables(self) -> dict[str, Any]:
-        return {"parameters": self._size_table}
+        return {"parameters": self._parameter_columns}
 
-    def _size_table(self) -> ColumnValues:
+    def _parameter_columns(self) -> ColumnValues:
         size_entries = self._parameter_entries()
         return {
             "parameter": [p.name for p, _ in size_entries],
@@ -78,7 +78,7 @@ class InjectedEffect(Result):
         cause = self.effect
         shape = constants_in_display_units(cause) if isinstance(cause, Effect) else {}
         return {
-            "effect": cause.name, "words": self.effect_text,
+            "effect": cause.name, "words": self.effect_specification,
             "stations": list(cause.stations), "targets": list(cause.targets),
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
             "parameters": self.table().json_rows(),
@@ -140,7 +140,7 @@ DETECTION_CURVE_TABLE = Table(
 class DetectionCurve(Result):
     """Detection curve: fractions of injections of an effect that are detected, located and named, by noncentrality."""
 
-    effect_text: str
+    effect_specification: str
     """Specification of the injected effect, such as `range-offset:S3`."""
     effects_without_injection: tuple[str, ...]
     """Names of the effects that the diagnosis reports in the recording without an injection."""
@@ -149,7 +149,9 @@ class DetectionCurve(Result):
 
     def _lines(self) -> list[str]:
         reported = ", ".join(self.effects_without_injection) or "nothing"
-        lines = [f"{self.effect_text}, injected into the recording; findings without the injection: {reported}"]
+        lines = [
+            f"{self.effect_specification}, injected into the recording; findings without the injection: {reported}"
+        ]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, located {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
@@ -174,14 +176,14 @@ class Injector:
         """Adjusted poses of the stations and positions of the targets."""
         return self.residual_space.adjustment.state
 
-    def reading_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
+    def reading_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
         """Change of the readings by an effect, shape (pointings, 3) [m, rad, rad]; 0 for effects on the noise.
 
-        `effect_sizes` (parameters,) [SI] are the effect's parameters. A missing reading has a change of NaN.
+        `parameter_values` (parameters,) [SI] are the effect's parameters. A missing reading has a change of NaN.
         """
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
-            return effect.reading_change(sightings, effect_sizes)
+            return effect.reading_change(sightings, parameter_values)
         done, instrument = effect.measured_sightings(sightings), self.adjusted_state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
@@ -189,89 +191,94 @@ class Injector:
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
-    def length_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
+    def length_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
         """Change of the reference lengths by an effect, shape (lengths,) [m]."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
         return (
             effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjusted_state.target_points)
-            @ effect_sizes
+            @ parameter_values
         )
 
-    def added_noise_sigma(self, effect: NoiseEffect, effect_sizes: Floats) -> Floats:
+    def added_noise_sigma(self, effect: NoiseEffect, parameter_values: Floats) -> Floats:
         """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3) [m, rad, rad]."""
         sigma = self.recording.sigma()
-        added = effect.variance(self.residual_space.sightings, sigma, effect_sizes) - sigma**2
+        added = effect.variance(self.residual_space.sightings, sigma, parameter_values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
             raise ModelError(f"{effect.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
-    def noncentrality(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
+    def noncentrality(self, effect: CandidateEffect, parameter_values: Floats) -> float:
         """Noncentrality of an effect in the residuals; 0 if the unknowns of the network absorb the effect."""
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
             used = np.flatnonzero(space.is_used_reading)
-            factor = 1.0 + (self.added_noise_sigma(effect, effect_sizes) / space.sigma).reshape(-1)[used] ** 2
+            factor = 1.0 + (self.added_noise_sigma(effect, parameter_values) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
-        change = np.nan_to_num(self.reading_change(effect, effect_sizes))
-        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
+        change = np.nan_to_num(self.reading_change(effect, parameter_values))
+        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, parameter_values)[:, None])[:, 0]
         projected_design = space.project(whitened_change)
         square = float(projected_design @ projected_design)
-        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whitened_change @ whitened_change) else 0.0
+        return square if square > NORMAL_EQUATIONS_TOLERANCE * float(whitened_change @ whitened_change) else 0.0
 
     def scale_to_noncentrality(
-        self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
+        self, effect: CandidateEffect, parameter_values: Floats, noncentrality_goal: float
     ) -> Floats:
         """Parameters (parameters,) [SI] of the effect at which it has the noncentrality `noncentrality_goal`.
 
-        They are the start values `effect_sizes` times a common factor. ModelError is raised if the unknowns of the
+        They are the start values `parameter_values` times a common factor. ModelError is raised if the unknowns of the
         network absorb the effect.
         """
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY * np.sqrt(noncentrality_goal)
         for _ in range(MAX_SCALING_STEPS):
-            noncentrality = self.noncentrality(effect, factor * effect_sizes)
+            noncentrality = self.noncentrality(effect, factor * parameter_values)
             if not noncentrality > 0.0 or (
                 noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * noncentrality_goal
-                and self._largest_relative_change(effect, factor * effect_sizes) > bound
+                and self._largest_relative_change(effect, factor * parameter_values) > bound
             ):
                 break
             if abs(noncentrality / noncentrality_goal - 1.0) < NONCENTRALITY_TOLERANCE:
-                return factor * effect_sizes
+                return factor * parameter_values
             factor *= float(np.clip(np.sqrt(noncentrality_goal / noncentrality), 1e-3, 1e3))
         raise ModelError(
             f"the network absorbs {effect.name} {effect.place_text}: "
             f"no plausible size gives a noncentrality of {noncentrality_goal:g}"
         )
 
-    def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
+    def _largest_relative_change(self, effect: CandidateEffect, parameter_values: Floats) -> float:
         """Largest ratio of a reading's change, or of the noise added to it, to its standard deviation."""
         reading_changes = (
-            self.added_noise_sigma(effect, effect_sizes)
+            self.added_noise_sigma(effect, parameter_values)
             if isinstance(effect, NoiseEffect)
-            else self.reading_change(effect, effect_sizes)
+            else self.reading_change(effect, parameter_values)
         )
         return float(np.nanmax(np.abs(reading_changes) / self.residual_space.sigma, initial=0.0))
 
     def inject(
-        self, effect: CandidateEffect, effect_sizes: Floats, effect_text: str, random_generator: np.random.Generator
+        self,
+        effect: CandidateEffect,
+        parameter_values: Floats,
+        effect_specification: str,
+        random_generator: np.random.Generator,
     ) -> tuple[Recording, InjectedEffect]:
         """Recording with an injected effect, and the entry of the effect for the truth file.
 
-        `effect_sizes` (parameters,) [SI] are the effect's parameters, `effect_text` is its specification. The
-        generator draws the noise of an effect on the noise.
+        `parameter_values` (parameters,) [SI] are the effect's parameters. `random_generator` draws the noise of an
+        effect on the noise.
         """
         if isinstance(effect, NoiseEffect):
-            change = self.added_noise_sigma(effect, effect_sizes) * random_generator.standard_normal(
+            change = self.added_noise_sigma(effect, parameter_values) * random_generator.standard_normal(
                 self.recording.readings.shape
             )
         else:
-            change = self.reading_change(effect, effect_sizes)
+            change = self.reading_change(effect, parameter_values)
         injected_recording = self.recording.with_readings(self.recording.readings + change)
-        lengths = self.length_change(effect, effect_sizes)
-        if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
+        lengths = self.length_change(effect, parameter_values)
+        if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{effect_text}: changes no reading; give measured stations or targets, after the time if there is one"
+                f"{effect_specification}: changes no reading; give measured stations or targets, after the time if "
+                "there is one"
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
@@ -287,7 +294,11 @@ class Injector:
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
         return injected_recording, InjectedEffect(
-            effect, effect_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
+            effect,
+            effect_specification,
+            parameter_values,
+            self.noncentrality(effect, parameter_values),
+            largest_by_observable,
         )
 
     def with_recording(self, recording: Recording) -> Self:

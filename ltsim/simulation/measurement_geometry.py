@@ -22,9 +22,9 @@ from ltsim.simulation.physics import make_scenario_construction, scenario_effect
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
-MAX_LISTED_PAIRS = 20
+MAX_LISTED_HIDDEN_PAIRS = 20
 """Largest number of pairs of station and target without a line of sight that are listed one by one."""
-MIN_LEVEL_SEPARATION = 0.5
+MIN_HEIGHT_LEVEL_SEPARATION = 0.5
 """Smallest height difference [m] at which two targets belong to different height levels."""
 
 
@@ -45,7 +45,7 @@ class MeasurementGeometry:
     """Effects of the scenario, in addition to the instrument's errors."""
     hidden_pair_notes: tuple[str, ...]
     """Sentences on the pairs of station and target without a line of sight, with the reason of each pair. For more than
-    `MAX_LISTED_PAIRS` pairs, one sentence with the number of pairs for each reason."""
+    `MAX_LISTED_HIDDEN_PAIRS` pairs, one sentence with the number of pairs for each reason."""
 
     @cached_property
     def construction(self) -> GeometricErrorModel:
@@ -68,7 +68,7 @@ def make_measurement_geometry(
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
             raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
-    sightings = _sightings(scenario, layout, table.is_visible, seed, *stream_key)
+    sightings = _sightings_in_measurement_order(scenario, layout, table.is_visible, seed, *stream_key)
     sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
         scenario=scenario,
@@ -114,14 +114,14 @@ def draw_layout(
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
     """Sentences on pairs of station and target without a line of sight; for many pairs, their number by reason."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
-    if len(lost) <= MAX_LISTED_PAIRS:
+    if len(lost) <= MAX_LISTED_HIDDEN_PAIRS:
         return tuple(lost)
     reasons = Counter(reason for line in visibility.short_reason_texts() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return (f"{len(lost)} of {visibility.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
-def _sightings(
+def _sightings_in_measurement_order(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
     """Pointings in the order of measurement, of targets that at least one station sees.
@@ -211,7 +211,7 @@ def _target_order(
 def _height_levels(heights: Floats) -> Floats:
     """Number of the height level of each target, counted from the highest level, shape (targets,)."""
     down = np.argsort(-heights, kind="stable")
-    steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_LEVEL_SEPARATION])
+    steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_HEIGHT_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))
     levels[down] = np.cumsum(steps)
     return levels
