@@ -124,7 +124,7 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
         convention, reason = (
             _convention_from_faces(polar, candidates)
             or _convention_from_lengths(polar, candidates)
-            or _raise_missing_hint(candidates, file)
+            or _raise_missing_hint(polar, candidates, file)
         )
     notes = []
     if hints.angle is None or hints.vertical is None:
@@ -205,10 +205,16 @@ def _convention_from_lengths(
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
 
 
-def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tuple[AngleConvention, str]:
+def _raise_missing_hint(
+    polar: PolarReadings, candidates: list[AngleConvention], file: object
+) -> tuple[AngleConvention, str]:
     """RecordError that asks which candidate is right, with the option to type; the function never returns."""
     has_common_unit = len({a for a, _ in candidates}) == 1
-    choices = " or ".join(f"{v} angles" if has_common_unit else f"{v} angles in {a}" for a, v in candidates)
+    has_vertical_angles = bool(np.isfinite(polar.vertical_angles).any())
+    kinds = [f"{kind} angles" if has_vertical_angles else "horizontal angles" for _, kind in candidates]
+    choices = " or ".join(
+        kind if has_common_unit else f"{kind} in {unit}" for kind, (unit, _) in zip(kinds, candidates, strict=True)
+    )
     hints = [] if has_common_unit else [f"--hint angle={candidates[0][0]}"]
     hints += [f"--hint vertical={candidates[0][1]}"] if len({v for _, v in candidates}) > 1 else []
     message = f"the angles may be {choices}, and the data do not decide which; give {' '.join(hints)}"

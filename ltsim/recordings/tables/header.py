@@ -141,6 +141,11 @@ class TableColumn:
         """True for a column that becomes a covariate or label: it has a title and is not part of a pointing."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
+    @property
+    def unit_in_title(self) -> str:
+        """Unit in the title, in brackets or after an underscore, also of a column without a role; '' for none."""
+        return self.unit or UNITS_BY_SPELLING.get(self.title.rpartition("_")[2].casefold(), "")
+
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
     """Columns of a header with the titles `fields`, each with the role and unit of its title, as a new list."""

@@ -23,7 +23,6 @@ from ltsim.core.units import (
     LENGTH_UNITS,
     MILLIMETRE,
     SI_PER_UNIT,
-    UNITS_BY_SPELLING,
     unit_ratio,
 )
 from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
@@ -51,6 +50,7 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
+from ltsim.recordings.tables.height_differences import height_differences
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
@@ -89,6 +89,9 @@ class ColumnInterpretation:
     vertical_kind: VerticalKind
     azimuth_sense: AzimuthSense
     notes: tuple[str, ...] = ()
+    elevation_rounding_sigmas: Floats | None = None
+    """Standard deviations (n,) [rad] of elevations due to the rounding of the height differences from which they are
+    computed; None for measured elevations."""
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
         """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted without rounding."""
@@ -158,7 +161,15 @@ def interpret_readings(
     azimuth_sense, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
     all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
     interpretation = replace(interpretation, azimuth_sense=azimuth_sense, notes=all_notes)
-    return interpretation, interpretation.readings(pointings)
+    readings = interpretation.readings(pointings)
+    if heights := height_differences(table, length):
+        interpretation = replace(
+            interpretation,
+            elevation_rounding_sigmas=heights.rounding_sigmas(readings[:, 0]),
+            notes=(*interpretation.notes, heights.note),
+        )
+        readings[:, 2] = heights.elevations(readings[:, 0])
+    return interpretation, readings
 
 
 def _missing_readings_notes(table: PointingTable) -> list[str]:
@@ -168,7 +179,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
         (DISTANCE_ROLES, "distances", LENGTH_UNITS),
     ):
-        columns = [c for c in table.columns if c.is_additional and not c.role and _unit_in_title(c) in units]
+        columns = [c for c in table.columns if c.is_additional and not c.role and c.unit_in_title in units]
         if columns and table.column(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{safe_excerpt(c.title)}'" for c in columns)
             notes.append(
@@ -176,11 +187,6 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
                 f'--columns "{kind[0]}={safe_excerpt(title)}"'
             )
     return notes
-
-
-def _unit_in_title(column: TableColumn) -> str:
-    """Unit in the title of a column, in brackets or after an underscore; '' for none."""
-    return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
 
 
 def _angle_conventions(

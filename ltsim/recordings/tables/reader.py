@@ -111,6 +111,9 @@ def assemble_recording(
     """
     pointings, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
+    if interpretation.elevation_rounding_sigmas is not None:
+        elevation_noise = setup.instrument.noise.elevation_arcsec
+        sigmas[SIGMA_COLUMNS[2]] = np.hypot(elevation_noise, interpretation.elevation_rounding_sigmas / ARCSECOND)
     covariates, labels, column_notes = _additional_columns(table, interpretation)
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))

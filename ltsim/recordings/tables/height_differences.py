@@ -1,0 +1,109 @@
+"""Elevations from height differences, for tables of horizontal distances without vertical angles.
+
+Data collectors often export the reduced readings `Hz`, `HD` and `dH` in place of the vertical angle and the slope
+distance. Height difference and horizontal distance then determine the elevation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.pointings import NOT_MEASURED
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import (
+    HEIGHT_ROLES,
+    VERTICAL_ROLES,
+    TableColumn,
+    normalised_title,
+    title_words_and_unit,
+)
+from ltsim.recordings.tables.pointing_table import PointingTable
+
+AXIS_TO_PRISM_TITLES = frozenset(
+    ["vd", "verticaldistance", "verticaldist", "vertikaldistanz", "vdist", "distanceverticale"]
+)
+"""Titles, in the form of `normalised_title`, of height differences between tilting axis and reflector."""
+MARK_TO_MARK_TITLES = (
+    *("deltah", "dh", "dhgt", "hdiff", "heightdiff", "heightdifference"),
+    *("hoehendifferenz", "hoehenunterschied", "hohendifferenz", "hohenunterschied"),
+    *("denivelee", "desnivel", "dislivello"),
+)
+"""Titles, in the form of `normalised_title`, of height differences between the marks of station and target."""
+
+
+SHORTEST_DISTANCE = 1e-3
+"""Horizontal distance [m] that replaces shorter ones in the uncertainty of an elevation."""
+
+
+@dataclass(frozen=True)
+class HeightDifferences:
+    """Height differences of the reflectors from the tilting axis of the instrument."""
+
+    axis_to_reflector: Floats
+    """Height difference (n,) [m] from tilting axis to reflector of n pointings; NaN for an empty cell."""
+    step: float
+    """Value [m] of the last digit of the height differences."""
+    note: str
+    """Note to the user on the use of the column."""
+
+    def elevations(self, horizontal_distances: Floats) -> Floats:
+        """Elevations (n,) [rad] of n pointings with `horizontal_distances` (n,) [m]."""
+        return np.arctan2(self.axis_to_reflector, horizontal_distances)
+
+    def rounding_sigmas(self, horizontal_distances: Floats) -> Floats:
+        """Standard deviations (n,) [rad] of the elevations due to the rounding of the height differences."""
+        return self.step / np.sqrt(12.0) / np.maximum(horizontal_distances, SHORTEST_DISTANCE)
+
+
+def height_differences(table: PointingTable, length_unit: str) -> HeightDifferences | None:
+    """Height differences in a table of horizontal distances; None if the table has vertical angles or no such column.
+
+    `length_unit` is the unit of columns without declared unit. Height differences between marks, in a table with
+    heights of instrument and target, are converted to those from tilting axis to reflector.
+    """
+    if table.column(("flat",)) is None or table.column(VERTICAL_ROLES) is not None:
+        return None
+    titles = (*AXIS_TO_PRISM_TITLES, *MARK_TO_MARK_TITLES)
+    column = next((c for c in table.columns if c.is_additional and _title_words(c) in titles), None)
+    if column is None:
+        return None
+    differences, step = _lengths_and_step(table, column.title, column.unit_in_title or length_unit)
+    if not np.isfinite(differences).any():
+        return None
+    ends = "from tilting axis to reflector"
+    if _title_words(column) in MARK_TO_MARK_TITLES:
+        heights = [
+            np.nan_to_num(_lengths_and_step(table, c.title, c.unit or "m")[0])
+            for c in (table.column((role,)) for role in HEIGHT_ROLES)
+            if c is not None
+        ]
+        if len(heights) == len(HEIGHT_ROLES):
+            differences = differences - heights[0] + heights[1]
+            ends = "between the marks, because the table has heights of instrument and target"
+    note = (
+        f"the table has no vertical angles: elevations are computed from horizontal distances and height differences "
+        f"('{safe_excerpt(column.title)}', {ends})"
+    )
+    del table.pointings.additional_cells[column.title]
+    table.columns.remove(column)
+    return HeightDifferences(differences, step, note)
+
+
+def _title_words(column: TableColumn) -> str:
+    """Title of a column in the form of `normalised_title`, without a unit in brackets or after an underscore."""
+    words, unit = title_words_and_unit(column.title)
+    return words if unit or not column.unit_in_title else normalised_title(column.title.rpartition("_")[0])
+
+
+def _lengths_and_step(table: PointingTable, title: str, unit: str) -> tuple[Floats, float]:
+    """Lengths (n,) [m] in n cells of an additional column (NaN for a cell without number), and their last digit [m]."""
+    texts = table.pointings.texts(title)
+    numbers = [*map(cells.parse_number_or_angle, texts, table.pointings.thousands_separator)]
+    last_digit = min((int(number.as_tuple().exponent) for number in numbers if number is not None), default=0)
+    lengths = np.array([NOT_MEASURED if number is None else float(number) for number in numbers])
+    return lengths * SI_PER_UNIT[unit], 10.0**last_digit * SI_PER_UNIT[unit]
