@@ -92,7 +92,7 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
-    from ltsim.planning.loading import plan_names, plan_text
+    from ltsim.planning.loading import builtin_plan_names, builtin_plan_text
     from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
     from ltsim.planning.result import Plan
     from ltsim.planning.tables import PLAN_TABLES
@@ -107,9 +107,9 @@ def plan(
     if site is not None:
         raise InputError("--site needs --after REC, the recording to which a station is added")
     if source is None:
-        raise InputError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
+        raise InputError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(builtin_plan_names())})")
     if show:
-        terminal.print_always(plan_text(source))
+        terminal.print_always(builtin_plan_text(source))
         return None
     moved_stations = options.pop("move")
     if without is not None and (moved_stations or out is not None):
@@ -163,7 +163,7 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """Plan from a search for a layout; during the search the best layout so far is printed and written."""
     from ltsim.planning.plan_search import SearchCallbacks
-    from ltsim.planning.result import load_plan_and_scenario, with_cad_file_copies, with_layout
+    from ltsim.planning.result import load_plan_and_scenario, scenario_with_layout, with_cad_file_copies
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
@@ -174,7 +174,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
     def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored_scenario, cad_files = with_cad_file_copies(with_layout(scenario, survey))
+            stored_scenario, cad_files = with_cad_file_copies(scenario_with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad_files, BEST_LAYOUT_SO_FAR_FILE: scenario_to_toml(stored_scenario)})
             except RecordError as problem:

@@ -114,11 +114,11 @@ def view(
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
     """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
-    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, with_cad_file_copies
+    from ltsim.planning.result import PLAN_FILE_NAME, SCENARIO_FILE_NAME, with_cad_file_copies
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
-    for name in (SCENARIO_FILE, PLAN_FILE):
+    for name in (SCENARIO_FILE_NAME, PLAN_FILE_NAME):
         check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
         requests = PlannerRequests(MovableLayout.from_plan(plan), result_folder)

@@ -1,4 +1,4 @@
-"""Data tables of plans; each declaration serves the CSV file, the data frame, the terminal and the page."""
+"""Tables of a plan; each declaration defines the CSV file, the data frame, and the table in terminal and page."""
 
 from ltsim.core.results import Column, Table, flag_columns, model_columns, number_columns, text_columns
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -22,6 +22,7 @@ PLANNED_STATIONS_TABLE = Table(
         *number_columns(visible_reflectors="number of visible reflectors"),
     ),
 )
+"""Table of the planned stations with their expected precision."""
 PLANNED_REFLECTORS_TABLE = Table(
     "reflectors.csv",
     "reflectors with their expected uncertainty",
@@ -34,6 +35,7 @@ PLANNED_REFLECTORS_TABLE = Table(
         *text_columns(visible_from="stations from which it is visible"),
     ),
 )
+"""Table of the planned reflectors with their expected precision."""
 PLANNED_PARAMETERS_TABLE = Table(
     "parameters.csv",
     "instrument parameters with their expected uncertainty",
@@ -47,6 +49,7 @@ PLANNED_PARAMETERS_TABLE = Table(
         *number_columns(removed_variance_fraction="fraction of the prior variance that the readings remove"),
     ),
 )
+"""Table of the instrument parameters with their expected standard deviations."""
 VISIBILITY_TABLE = Table(
     "visibility.csv",
     "sights between stations and targets",
@@ -59,11 +62,13 @@ VISIBILITY_TABLE = Table(
         ),
     ),
 )
+"""Table of all pairs of a station and a target, with the reason if the line of sight is blocked."""
 NOMINAL_POINTS_TABLE = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
     (*text_columns(name="of the point"), *POSITION_COLUMNS),
 )
+"""Table of the nominal coordinates of all points, for import into the software of the tracker."""
 WORK_ORDER_TABLE = Table(
     "work-order.csv",
     "every pointing in the order of the work, with the expected readings",
@@ -74,6 +79,7 @@ WORK_ORDER_TABLE = Table(
         *number_columns(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
+"""Table of all pointings in the order of measurement, with the expected readings."""
 TAPE_DISTANCES_TABLE = Table(
     "setups.csv",
     "tape measurements to the positions of the tripods",
@@ -92,6 +98,7 @@ TAPE_DISTANCES_TABLE = Table(
         ),
     ),
 )
+"""Table of the tape distances that locate the tripods."""
 TRADEOFF_TABLE = Table(
     "tradeoff.csv",
     "measuring procedures, each with its best layout",
@@ -106,7 +113,9 @@ TRADEOFF_TABLE = Table(
         *model_columns(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
     ),
 )
+"""Table of the points of the trade-off curve between cost and quality."""
 DETECTABLE_SIZES_TABLE = Table("effects.csv", "minimal detectable sizes of effects", model_columns(DetectableSize))
+"""Table of the minimal detectable sizes of effects."""
 TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
@@ -123,6 +132,7 @@ TOLERANCES_TABLE = Table(
         *flag_columns(tolerance_met="the tolerance is met"),
     ),
 )
+"""Table of the points with a tolerance."""
 LOSS_CHECKS_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
@@ -136,6 +146,7 @@ LOSS_CHECKS_TABLE = Table(
         ),
     ),
 )
+"""Table of the checks of the tolerances after the loss of a station or a sight."""
 REFLECTOR_CHANGES_TABLE = Table(
     "changes.csv",
     "reflectors to move, add or remove",
@@ -150,7 +161,8 @@ REFLECTOR_CHANGES_TABLE = Table(
         *number_columns("r", "+.1f", sigma_percent="change of its standard deviation"),
     ),
 )
-EXPECTED_CRITERIA_TABLE = Table(
+"""Table of the reported changes (move, addition, removal) of a reflector."""
+EXPECTED_DISAGREEMENT_TABLE = Table(
     "expected.csv",
     "expected disagreement of the stations, before and after a calibration",
     (
@@ -158,12 +170,14 @@ EXPECTED_CRITERIA_TABLE = Table(
         *number_columns("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
     ),
 )
+"""Table of the expected disagreement of the stations before and after calibration."""
 CONFUSABLE_EFFECTS_TABLE = Table(
     "confusable.csv", "pairs of effects that the layout hardly distinguishes", model_columns(ConfusablePair)
 )
+"""Table of the pairs of effects that the layout hardly distinguishes."""
 PLAN_TABLES = (
     NOMINAL_POINTS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE,
-    LOSS_CHECKS_TABLE, TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_CRITERIA_TABLE, REFLECTOR_CHANGES_TABLE,
+    LOSS_CHECKS_TABLE, TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_DISAGREEMENT_TABLE, REFLECTOR_CHANGES_TABLE,
     DETECTABLE_SIZES_TABLE,
     CONFUSABLE_EFFECTS_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
@@ -171,7 +185,7 @@ PLAN_TABLES = (
 
 
 def make_visibility_table(layout: LayoutEvaluation) -> Table:
-    """Table `visibility.csv` of a layout: one row for every pair of station and target."""
+    """Table `visibility.csv` of a layout, with one row for each pair of a station and a target."""
     words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
     return VISIBILITY_TABLE.with_rows(
         [
@@ -184,8 +198,8 @@ def make_visibility_table(layout: LayoutEvaluation) -> Table:
 
 
 def make_work_order_table(plan: PlannedNetwork) -> Table:
-    """Table `work-order.csv` of a plan: one row for every pointing, with the readings of a perfect instrument."""
-    recording = plan.layout.survey.noise_free_recording(plan.layout.information.construction)
+    """Table `work-order.csv` of a plan, with one row for each pointing and the readings of a perfect instrument."""
+    recording = plan.layout.survey.noise_free_recording(plan.layout.expected_precision.construction)
     return WORK_ORDER_TABLE.with_rows(
         [
             i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
