@@ -1,4 +1,4 @@
-"""Command `examples`: sample data and commented files, copied into a folder."""
+"""Command `examples`: copies of sample data and commented files in a folder."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ EXAMPLE_COMMANDS = {
     "hall.ipynb": "jupyter lab hall.ipynb",
     "sweep.ipynb": "jupyter lab sweep.ipynb",
 }
-"""Example files, each with a command to try; a file without a command is an input of the previous command."""
+"""Command to try for each example file, by file name; empty for an input file of the preceding command."""
 
 
 def example_file_content(name: str) -> str:
-    """Content of an example file."""
+    """Content of the example file with this name."""
     if name == "workshop.toml":
         return builtin_text("paper-workshop")
     package = files("ltsim")
