@@ -27,8 +27,8 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
 PROMISED = (
-    ("before", "criterion_before", "um", MICRO),
-    ("after", "criterion_after", "um", MICRO),
+    ("before", "disagreement_before", "um", MICRO),
+    ("after", "disagreement_after", "um", MICRO),
     ("improvement", "improvement", "percent", 1.0),
 )
 

@@ -24,8 +24,8 @@ from ltsim.simulation.scenario import load_scenario
 OUTPUTS = {
     "distance improvement": "distance_improvement",
     "coordinate improvement": "coordinate_improvement",
-    "distance after": "distance_criterion_after",
-    "coordinate after": "coordinate_criterion_after",
+    "distance after": "distance_disagreement_after",
+    "coordinate after": "coordinate_disagreement_after",
 }
 """Attribute of the expected criteria by the name of an output."""
 Ranges = Mapping[str, tuple[float, float]]
@@ -77,7 +77,7 @@ def improvement_rows(predictor: DisagreementPredictor, ranges: Ranges, seed: int
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
         named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
-        left = np.median(getattr(expected, f"{kind}_criterion_after") / MICROMETRE)
+        left = np.median(getattr(expected, f"{kind}_disagreement_after") / MICROMETRE)
         rows.append({"criterion": kind} | named | {"after_median_um": left})
     return rows
 

@@ -13,7 +13,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
+from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
@@ -140,7 +140,7 @@ RecoverJobsOption = Annotated[
 JunitFileOption = Annotated[
     Path | None,
     typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."),
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
 ]
 TRUE_ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
 """Text that says where the true instrument errors come from, by the field `error_origin` of a recovery."""

@@ -282,7 +282,7 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
 
 COMPARED_FILE_OUTPUT = OutputKind(check_file_for_comparison)
 """Kind of output file whose content `write_outputs` compares with an existing file."""
-FILE_OUTPUT = OutputKind(check_new_file)
+NEW_FILE_OUTPUT = OutputKind(check_new_file)
 """Kind of output file that must be new, or replace a page or an unmodified XML file of ltsim."""
 RECORDING_OUTPUT = OutputKind(check_recording_folder)
 """Kind of output folder for a recording, which must not contain files of other programs."""

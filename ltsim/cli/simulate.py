@@ -17,7 +17,7 @@ from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
     RECORDING_OUTPUT,
     RESULT_FOLDER_OUTPUT,
     ForceOption,
@@ -322,11 +322,11 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
 """Steps of the demonstration in order: title, and function of folder and seed that returns a text on the outcome."""
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
-    "workshop/truth.json": FILE_OUTPUT,
+    "workshop/truth.json": NEW_FILE_OUTPUT,
     "concealed": RESULT_FOLDER_OUTPUT,
-    "concealed/truth.json": FILE_OUTPUT,
-    "campaign.toml": FILE_OUTPUT,
+    "concealed/truth.json": NEW_FILE_OUTPUT,
+    "campaign.toml": NEW_FILE_OUTPUT,
     "campaign": RESULT_FOLDER_OUTPUT,
-    "report.html": FILE_OUTPUT,
+    "report.html": NEW_FILE_OUTPUT,
 }
 """Kind of each output file or folder of the demonstration, by path; all are checked before the first step."""

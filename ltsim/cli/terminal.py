@@ -94,6 +94,7 @@ def discard_output(stream: IO[str]) -> None:
 
 
 ResultFileType = TypeVar("ResultFileType", bound="ResultFile")
+"""Class of the result that is written."""
 FIRST_PROGRESS_DELAY_S = 10.0
 """Time [s] from the start of a task to its first printed line of progress, if standard error is not a terminal."""
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
@@ -104,7 +105,9 @@ class Terminal:
     """Output of a command: text or JSON on standard output, notes and progress on standard error."""
 
     quiet: QuietOption = False
+    """True if only errors are printed (`--quiet`)."""
     as_json: Annotated[bool, typer.Option("--json", help="Print only the result, as JSON.")] = False
+    """True if only the result is printed, as JSON (`--json`)."""
 
     @property
     def is_silent(self) -> bool:
@@ -219,7 +222,9 @@ class ResultFolderTerminal(Terminal):
         typer.Option("--out", metavar="DIR", help="Folder to write the results to."),
         RESULT_FOLDER_OUTPUT,
     ] = None
+    """Folder to which the result is written; None if no folder was given."""
     force: ForceOption = False
+    """True if existing files may be replaced (`--force`)."""
 
     def check_overwrite(
         self,

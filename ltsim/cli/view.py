@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 import ltsim as lt
 from ltsim.cli.options import ReadingOptionsWithFrame
-from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
+from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import InputError, RecordError, require_extra
 from ltsim.recordings.settings import validation_sentence
@@ -43,12 +43,12 @@ PortOption = Annotated[
     int, typer.Option("--port", min=0, max=65535, help="With --plan: port of the page; 0 for any free port.")
 ]
 PictureFileOption = Annotated[
-    Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), FILE_OUTPUT
+    Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), NEW_FILE_OUTPUT
 ]
 PageFileOption = Annotated[
     Path | None,
     typer.Option("--html", metavar="FILE", help="Write an interactive page for a browser, which works offline."),
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
 ]
 ReportFolderArgument = Annotated[
     Path,

@@ -147,7 +147,7 @@ class TaskEvaluation:
             expanded_uncertainty=half_width,
             monte_carlo=MonteCarloDistribution(
                 mean=float(drawn.means[result_index]) / unit,
-                standard_uncertainty=float(drawn.sigmas[result_index]) / unit,
+                standard_uncertainty=float(drawn.standard_uncertainties[result_index]) / unit,
                 symmetric_interval=(drawn.symmetric_intervals[result_index] / unit).tolist(),
                 shortest_interval=(drawn.shortest_intervals[result_index] / unit).tolist(),
                 is_stable=bool(drawn.is_stable[result_index]),

@@ -78,6 +78,7 @@ def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature 
 
 
 def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Line through the origin along the first principal axis of centred points."""
     _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
@@ -87,6 +88,7 @@ def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> F
 
 
 def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Plane through the origin normal to the last principal axis of centred points."""
     _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
     normal = v[..., 2, :]
@@ -99,6 +101,7 @@ def _feature_without_radius(unit_normal: Floats, deviations: Floats) -> FittedFe
 
 
 def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Sphere by Gauss-Newton iterations from an algebraic fit."""
     centre, radius = _algebraic_fit(centred_points)
     for _ in range(MAX_ITERATIONS):
         arm = centred_points - centre[..., None, :]
@@ -113,6 +116,7 @@ def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) ->
 
 
 def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Circle in space by Gauss-Newton iterations from an algebraic fit in the plane of the points."""
     normal = _fit_plane(centred_points, None).direction
     centre, radius = _projected_circle(centred_points, normal)
     for _ in range(MAX_ITERATIONS):

@@ -164,10 +164,10 @@ TRIALS_PER_BATCH = 10_000
 MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO = 5.0
 """Smallest ratio of the numerical tolerance of a result to its numerical error at which the intervals by propagation
 and Monte Carlo are compared (JCGM 101, clause 8.2)."""
-FREQUENCY_STEP = 0.05
+CHARACTERISTIC_FUNCTION_STEP = 0.05
 """Step of the numerical integral over the characteristic function of a result, in units of 1 / (standard deviation of
 the result)."""
-N_FREQUENCY_STEPS = 40_000
+N_CHARACTERISTIC_FUNCTION_STEPS = 40_000
 """Number of steps of the numerical integral over the characteristic function of a result."""
 CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
@@ -185,7 +185,7 @@ class MonteCarloUncertainty(ValueEquality):
     """Results [SI] of all trials, shape (trials, results)."""
     means: Floats
     """Mean of each result over the trials, shape (results,)."""
-    sigmas: Floats
+    standard_uncertainties: Floats
     """Standard deviation of each result over the trials, shape (results,)."""
     symmetric_intervals: Floats
     """Limits of the probabilistically symmetric coverage interval of each result, shape (results, 2)."""
@@ -266,7 +266,7 @@ def run_monte_carlo(
     return MonteCarloUncertainty(
         trial_results=all_results,
         means=mean,
-        sigmas=sigma,
+        standard_uncertainties=sigma,
         symmetric_intervals=np.stack([low, high], axis=1),
         shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage_probability),
         numerical_errors=error[2:].max(axis=0),
@@ -345,7 +345,7 @@ def _coverage_half_width(
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
     if total_sigma == 0 or independent <= SQRT_MACHINE_EPSILON * total_sigma**2:
         return float(special.ndtri(0.5 + coverage_probability / 2)) * total_sigma
-    frequencies = FREQUENCY_STEP * (np.arange(N_FREQUENCY_STEPS) + 0.5)
+    frequencies = CHARACTERISTIC_FUNCTION_STEP * (np.arange(N_CHARACTERISTIC_FUNCTION_STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / total_sigma**2, 0.0) * frequencies**2)
     for name, sizes in other_distributions:
         for size in np.abs(sizes[sizes != 0]) / total_sigma:
@@ -353,7 +353,9 @@ def _coverage_half_width(
 
     def excess(width: float) -> float:
         return (
-            float(2.0 / np.pi * FREQUENCY_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping))
+            float(
+                2.0 / np.pi * CHARACTERISTIC_FUNCTION_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping)
+            )
             - coverage_probability
         )
 

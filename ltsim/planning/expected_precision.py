@@ -154,14 +154,14 @@ ERROR_GROUP_BY_SPECIFIED_QUANTITY = {
 }
 """Name of the error group of an instrument parameter, by the data-sheet quantity that defines its prior; None stands
 for a parameter without such a quantity."""
-RANGE_NOISE_GROUP = "range noise"
+RANGE_NOISE_GROUP_NAME = "range noise"
 """Name of the error group that holds the noise of ranges."""
-ANGLE_NOISE_GROUP = "angle noise"
+ANGLE_NOISE_GROUP_NAME = "angle noise"
 """Name of the error group that holds the noise of azimuths and elevations."""
-REFERENCE_LENGTHS_GROUP = "gauge lengths"
+REFERENCE_LENGTHS_GROUP_NAME = "gauge lengths"
 """Name of the error group that holds the errors of the reference lengths of the gauge (reflectors at known distances).
 """
-REFLECTORS_GROUP = "reflectors"
+REFLECTORS_GROUP_NAME = "reflectors"
 """Name of the error group that holds the errors of reflectors, which depend on the angle of incidence."""
 
 
@@ -173,24 +173,24 @@ class ExpectedDisagreement:
     the sizes of the errors.
     """
 
-    distance_criterion_before: Floats
+    distance_disagreement_before: Floats
     """Expected disagreement (k,) [m] in the distances between targets before calibration."""
-    distance_criterion_after: Floats
+    distance_disagreement_after: Floats
     """Expected disagreement (k,) [m] in the distances between targets after calibration."""
-    coordinate_criterion_before: Floats
+    coordinate_disagreement_before: Floats
     """Expected disagreement (k,) [m] in the coordinates of targets before calibration."""
-    coordinate_criterion_after: Floats
+    coordinate_disagreement_after: Floats
     """Expected disagreement (k,) [m] in the coordinates of targets after calibration."""
 
     @property
     def distance_improvement(self) -> Floats:
         """Relative reduction (k,) [%] of the disagreement in distances by calibration, for k sets of error sizes."""
-        return 100.0 * (1.0 - self.distance_criterion_after / self.distance_criterion_before)
+        return 100.0 * (1.0 - self.distance_disagreement_after / self.distance_disagreement_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
         """Relative reduction (k,) [%] of the disagreement in coordinates by calibration, for k sets of error sizes."""
-        return 100.0 * (1.0 - self.coordinate_criterion_after / self.coordinate_criterion_before)
+        return 100.0 * (1.0 - self.coordinate_disagreement_after / self.coordinate_disagreement_before)
 
 
 @dataclass(frozen=True)
@@ -202,12 +202,10 @@ class DisagreementPredictor:
     """
 
     error_groups: tuple[str, ...]
-    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects by name.
-    """
+    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects."""
     distance_variances: Floats
     """Variance by each of G groups of errors of a measured distance minus its mean over stations, (2, G, D) [m^2]. The
-    first index is 0 before and 1 after calibration; D is the number of combinations of a station and a pair of targets.
-    """
+    first index is 0 before and 1 after calibration; D counts the combinations of a station and a pair of targets."""
     coordinate_covariances: Floats
     """Covariance by each of G groups of errors of the difference between the positions of a target from two stations,
     (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration; C is the number of combinations of a
@@ -240,7 +238,7 @@ class DisagreementPredictor:
         return cls(names, distance, coordinate)
 
     def expected_disagreement(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedDisagreement:
-        """Expected criteria for k assumptions on the sizes of the errors.
+        """Expected disagreement of the stations for k sets of error sizes.
 
         `group_sizes` holds, by name of the error group, factors (k,) on the nominal size of its errors; the default is
         1.
@@ -343,10 +341,11 @@ def _unit_error_displacements(
     second_response[:, count + lengths : len(columns_used)] = 0.0
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
     labels = (
-        np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [REFERENCE_LENGTHS_GROUP] * lengths
+        np.where(is_used % 3 == 0, RANGE_NOISE_GROUP_NAME, ANGLE_NOISE_GROUP_NAME).tolist()
+        + [REFERENCE_LENGTHS_GROUP_NAME] * lengths
     )
     labels += [ERROR_GROUP_BY_SPECIFIED_QUANTITY[p.specified_quantity] for p in construction.parameters]
-    labels += [REFLECTORS_GROUP] * n_extra
+    labels += [REFLECTORS_GROUP_NAME] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 
 

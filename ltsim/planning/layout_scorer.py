@@ -30,7 +30,7 @@ from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-INTERNAL_LENGTH_UNIT = 1e-5
+NORMAL_EQUATION_LENGTH_UNIT = 1e-5
 """Unit [m, rad] of poses and targets in the normal equations, chosen so that all columns have a similar norm."""
 
 
@@ -118,15 +118,15 @@ class LayoutScorer:
         """
         extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
-            design[:, pose_columns.ravel()] * INTERNAL_LENGTH_UNIT,
-            design[:, target_columns[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
+            design[:, pose_columns.ravel()] * NORMAL_EQUATION_LENGTH_UNIT,
+            design[:, target_columns[self._gauge_targets].ravel()] * NORMAL_EQUATION_LENGTH_UNIT,
         ]
         reduced_rows = np.hstack(
             [*front, design[:, parameter_columns] * self.parameter_scales[: len(parameter_columns)], extra]
         )
         mesh = (
             design[:, target_columns[self.eliminated_target_indices].ravel()].reshape(len(design), -1, 3)
-            * INTERNAL_LENGTH_UNIT
+            * NORMAL_EQUATION_LENGTH_UNIT
         )
         self._fixed_reduced_block = reduced_rows.T @ reduced_rows
         self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)
@@ -179,18 +179,18 @@ class LayoutScorer:
         if self.effects and station_indices.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
             whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, station_indices), strict=True))
-            by_target, by_value = self._derivatives(self.sightings(*whole))
+            by_target, by_value = self._whitened_pointing_derivatives(self.sightings(*whole))
             n_first_rows = len(self.survey.target_points) * len(self.survey.faces)
             by_target, by_value = by_target[n_first_rows:], by_value[n_first_rows:]
         else:
-            by_target, by_value = self._derivatives(self.sightings(position, yaw, station_indices))
+            by_target, by_value = self._whitened_pointing_derivatives(self.sightings(position, yaw, station_indices))
         weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
         shape = (*is_visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
         rotation_rows = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
         return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
-    def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def _whitened_pointing_derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives of the readings of n pointings by target (n, 3, 3), and by P parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(
             sightings.ideal_raw_readings, np.zeros(self.construction.n_parameters)
@@ -205,7 +205,7 @@ class LayoutScorer:
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
         white = (self._used_observables / sigma)[:, :, None]
-        return by_target * (white * INTERNAL_LENGTH_UNIT), np.concatenate(designs, axis=2) * (
+        return by_target * (white * NORMAL_EQUATION_LENGTH_UNIT), np.concatenate(designs, axis=2) * (
             white * self.parameter_scales
         )
 
@@ -335,7 +335,7 @@ class LayoutScorer:
         datum_rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
         datum_rows[..., :3] += np.cross(datum_rows[..., 3:], anchors[:, None])
         datum_rows[..., 3:] *= self._fixes_datum_rotations
-        return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
+        return (datum_rows / DATUM_SIGMA * NORMAL_EQUATION_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Weighted root mean square point error (B,) [m] of targets in B layouts, with the survey's target weights.
@@ -391,4 +391,4 @@ class LayoutScorer:
         variance[:, :count] += np.einsum("beii->be", inverses) - 2.0 * np.einsum(
             "beif,beif->be", motion[:, :count], response
         )
-        return INTERNAL_LENGTH_UNIT**2 * variance
+        return NORMAL_EQUATION_LENGTH_UNIT**2 * variance

@@ -83,7 +83,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
         made = validate_settings(data, PlanFile, "plan", path)
-    made = made.model_copy(update=_with_defaults(made, path))
+    made = made.model_copy(update=_completed_fields(made, path))
     scenario = _scenario_of_plan(made, data, path)
     if made.air is not None:
         scenario = scenario.model_copy(update={"air": made.air})
@@ -98,7 +98,7 @@ def _suggestion(name: str, candidates: Sequence[str]) -> str:
     return f"did you mean {names}?" if names else "no name is defined here"
 
 
-def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
+def _completed_fields(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
 
     `path` is the path of the plan file. Raises InputError for too many points.
@@ -129,7 +129,9 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
             raise InputError(f"{path}: the plan has both scenario and [workshop]; remove one of them")
         return _hall_scenario(plan_file, plan_tables, points, path)
     scenario_path = path.parent / plan_file.scenario
-    return _with_points(load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path)
+    return _with_points_as_targets(
+        load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path
+    )
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
@@ -279,7 +281,7 @@ def _require_plausible_extent(points: Sequence[PlanPoint], scenario: Scenario, f
         )
 
 
-def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
+def _with_points_as_targets(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
     """Scenario with the points of a plan as additional targets, except points that are already targets.
 
     Raises InputError if a target of the same name is at another position.

@@ -57,7 +57,9 @@ class PlanningProblem:
     """Plan file with its scenario, from which the inputs of a search are derived."""
 
     plan_file: PlanFile
+    """Plan file with goal, rules and settings of the search."""
     scenario: Scenario
+    """Scenario with hall, instrument, gauge and targets."""
 
     @property
     def construction(self) -> GeometricErrorModel:
@@ -201,7 +203,7 @@ def search_from_start(
         site = site.replace(
             survey=survey, is_aimed_nest=np.full(len(survey.target_points), bool(site.is_aimed_nest.any()))
         )
-        layout = replace(searcher, search_space=site, on_layout=no_progress).search_from(seed, 0)
+        layout = replace(searcher, search_space=site, on_better_layout=no_progress).search_from(seed, 0)
         survey = _with_moved_stations(site, layout.positions, layout.yaws)
     return layout.objective_value, survey
 

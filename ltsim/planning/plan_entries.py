@@ -177,8 +177,8 @@ class AgreementImprovementEntry(Entry):
         """
         e = expected_disagreement
         criteria = {
-            "distance": (e.distance_criterion_before, e.distance_criterion_after, e.distance_improvement),
-            "coordinate": (e.coordinate_criterion_before, e.coordinate_criterion_after, e.coordinate_improvement),
+            "distance": (e.distance_disagreement_before, e.distance_disagreement_after, e.distance_improvement),
+            "coordinate": (e.coordinate_disagreement_before, e.coordinate_disagreement_after, e.coordinate_improvement),
         }
         return {
             name: cls(before_um=before[0] / MICROMETRE, after_um=after[0] / MICROMETRE, improvement_percent=percent[0])

@@ -41,7 +41,7 @@ from ltsim.simulation.scenario import Scenario
 
 SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the other part is for checks of tolerances and changes of reflectors."""
-MIN_STATIONS = 2
+MIN_NETWORK_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
 """Largest ratio at which an additional station counts as useful: largest error with the station divided by largest
@@ -52,7 +52,7 @@ UNDETERMINED_LAYOUT_MESSAGE = (
     "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"
 )
 """Error message for a search without a layout that determines all poses and points."""
-STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
+STOPPED_SEARCH_MESSAGE = "the search was stopped before it found a layout; let it run longer"
 """Error message for a search that the user stopped before it had a layout."""
 
 
@@ -63,9 +63,9 @@ class SearchCallbacks:
     on_progress: ProgressCallback = no_progress
     """Callback with the name of the present step ("searching layouts") and its finished fraction."""
     on_progress_sentence: Callable[[str], None] = no_progress
-    """Callback with a sentence on the best layout so far, when a better one is found."""
-    on_layout: Callable[[PlannedSurvey], None] = no_progress
-    """Callback with the survey of the best layout so far, when a better one is found."""
+    """Callback with a sentence on the best layout so far, called for each better layout."""
+    on_better_layout: Callable[[PlannedSurvey], None] = no_progress
+    """Callback with the survey of the best layout so far, called for each better layout."""
 
 
 def make_plan(
@@ -101,11 +101,17 @@ class _PlanSearch:
     """State of the searches for a plan: layouts for each number of stations and faces, and choice of the best one."""
 
     problem: PlanningProblem
+    """Plan file and scenario."""
     jobs: int
+    """Number of processes."""
     callbacks: SearchCallbacks
+    """Callbacks that report the progress."""
     layouts: LayoutsByStationsAndFaces = field(default_factory=dict)
+    """Layouts found so far, by number of stations and number of faces."""
     station_count_results: list[StationCountResult] = field(default_factory=list)
+    """Result for each number of stations that was searched."""
     is_stopped: bool = False
+    """True if the user stopped the search."""
 
     @property
     def plan_file(self) -> PlanFile:
@@ -140,7 +146,7 @@ class _PlanSearch:
             self.callbacks.on_progress_sentence(
                 f"best layout so far: {len(survey.station_positions)} stations, {quality_text}"
             )
-            self.callbacks.on_layout(survey)
+            self.callbacks.on_better_layout(survey)
 
         def report_search_progress(finished_fraction: float) -> None:
             self.callbacks.on_progress(
@@ -179,7 +185,7 @@ class _PlanSearch:
             )  # the same search again, for its sentence
         options = self.tradeoff_points(self.layouts)
         if not options:
-            raise InputError(STOPPED_MESSAGE)
+            raise InputError(STOPPED_SEARCH_MESSAGE)
         hours = np.inf if file.budget.max_hours is None else file.budget.max_hours
         demands = PointTolerances.from_plan_file(file)
         if demands:
@@ -216,7 +222,7 @@ class _PlanSearch:
         file, faces = self.plan_file, self.face_and_round_choices[0]
         min_stations = file.stations.min_stations_per_target
         min_count = max(
-            MIN_STATIONS if alone else 3,
+            MIN_NETWORK_STATIONS if alone else 3,
             len(file.stations.fixed_stations),
             1 if min_stations == "all" else min_stations,
         )
@@ -290,7 +296,7 @@ class _PlanSearch:
         """Error message for a search that found no layout with these numbers of stations."""
         hours = self.plan_file.budget.max_hours
         if self.is_stopped:
-            return STOPPED_MESSAGE
+            return STOPPED_SEARCH_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
             range_text = f"{station_counts[0]} to {station_counts[-1]}"
             return f"no layout of {range_text} stations takes at most {hours:g} h; increase budget.max_hours"

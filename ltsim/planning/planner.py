@@ -113,7 +113,7 @@ class StationCountResult:
     """Largest ratio of point error to tolerance in the best layout; None if the search found no layout."""
     has_layout: bool
     """True if the search found a layout in which every point has the required sights."""
-    unseen_points_text: str = ""
+    points_lacking_sights_text: str = ""
     """Names of points that too few stations see in the layout with the fewest missing sights; empty if none is missing.
     """
 

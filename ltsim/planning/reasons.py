@@ -148,8 +148,8 @@ def _station_count_clauses(results: Sequence[StationCountResult], min_stations: 
     def counts_clause(text: str, results: Sequence[StationCountResult]) -> str:
         first, last = results[0].n_stations, results[-1].n_stations
         nearest = (
-            f" (the closest layout lacks sights of {results[-1].unseen_points_text})"
-            if results[-1].unseen_points_text
+            f" (the closest layout lacks sights of {results[-1].points_lacking_sights_text})"
+            if results[-1].points_lacking_sights_text
             else ""
         )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"

@@ -177,7 +177,9 @@ class _ChangeEvaluator:
         The K unknowns of the normal matrix are poses, gauge targets and parameters.
         """
         n_parameters = self.normal_matrix_terms.scorer.construction.n_parameters
-        information = self.normal_matrix_terms.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
+        information = self.normal_matrix_terms.information_matrices(normal_matrix[None])[
+            0, :n_parameters, :n_parameters
+        ]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:

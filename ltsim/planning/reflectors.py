@@ -83,7 +83,7 @@ class NormalMatrixTerms:
         """Normal matrix (K, K) of K unknowns for the fixed targets and reflectors at the places with these indices."""
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
-    def information(self, normal_matrices: Floats) -> Floats:
+    def information_matrices(self, normal_matrices: Floats) -> Floats:
         """Information matrices (B, p, p) of p parameters of instrument and effects in B layouts; NaN if undetermined.
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
@@ -138,7 +138,7 @@ class NormalMatrixTerms:
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
         """
-        information = self.information(normal_matrices)
+        information = self.information_matrices(normal_matrices)
         rms, determined = np.full(len(normal_matrices), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
             rms[determined] = self.weighted_target_rms(normal_matrices[determined], place_indices[determined])

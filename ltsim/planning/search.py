@@ -55,8 +55,11 @@ class LayoutSearcher:
     """
 
     search_space: SearchSpace
+    """Permitted positions and rules of a layout."""
     objective: LayoutObjective = field(default_factory=LayoutObjective)
+    """Objective that the search minimises."""
     construction: GeometricErrorModel = field(default_factory=misalignment_construction)
+    """Geometric error model whose parameters a calibration would estimate."""
     grid_step: float = 0.5
     """Horizontal step [m] of the grid of candidate positions of stations."""
     n_yaws: int = 6
@@ -65,7 +68,7 @@ class LayoutSearcher:
     """Number of candidate heights at each grid position."""
     on_progress: Callable[[float], None] = no_progress
     """Callback with the finished fraction of the search from one initial layout."""
-    on_layout: Callable[[StationLayout], None] = no_progress
+    on_better_layout: Callable[[StationLayout], None] = no_progress
     """Callback with each layout that is better than all layouts before it in the same search."""
 
     def __post_init__(self) -> None:
@@ -218,7 +221,7 @@ class LayoutSearcher:
                     layout.with_replaced_station(station_index, alternatives.select(np.array([which]))),
                     best,
                 )
-                self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, objective_value))
+                self.on_better_layout(StationLayout(layout.setup_positions, layout.setup_yaws, objective_value))
         return layout, objective_value
 
     def exchange_on_grid(self, layout: NormalBlocks, objective_value: float) -> tuple[NormalBlocks, float]:
@@ -338,7 +341,7 @@ class LayoutSearcher:
         layout = self.normal_blocks_of_layout(*current) if begins_there else self.random_layout(rng)
         if not np.isfinite(value := self._objective_of_layout(layout)):
             value = self._objective_of_layout(layout := self._connect_stations(layout))
-        self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
+        self.on_better_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
         layout, value = self.exchange_on_grid(layout, value)
         layout, value = self.refine_off_grid(layout, value, rng)
         return StationLayout(layout.setup_positions, np.mod(layout.setup_yaws, 2 * np.pi), value)

@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 
 N_DRAWN_PLACES_PER_STATION = 24
 """Number of candidate positions that are drawn for each station of a random layout; the best of them is used."""
-MAX_BRANCH_NODES = 3000
+MAX_BRANCH_AND_BOUND_NODES = 3000
 """Largest number of nodes of the branch-and-bound tree in the choice of station positions. A few nodes were sufficient
 in all halls that were tested."""
 MAX_RANDOM_TIE_BREAKER_COST = 1e-4
@@ -129,6 +129,6 @@ class StationPlacement:
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
             bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted_sights))]),
-            options={"node_limit": MAX_BRANCH_NODES},
+            options={"node_limit": MAX_BRANCH_AND_BOUND_NODES},
         )
         return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

@@ -22,7 +22,7 @@ MAX_TAPE_DISTANCE = 15.0
 """Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
 MAX_CONSIDERED_TAPE_MARKS = 16
 """Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
-MIN_STRAIGHT_STRENGTH_GAIN = 0.1
+MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE = 0.1
 """Smallest increase of `intersection_strength` at which a straight distance to a reflector replaces a distance along
 the floor."""
 TAPE_RESOLUTION = 0.01
@@ -191,7 +191,8 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
         return (
             good,
             good and longest <= MAX_TAPE_DISTANCE,
-            strength - good * (MIN_STRENGTH_GAIN_PER_METRE * longest + MIN_STRAIGHT_STRENGTH_GAIN * straight),
+            strength
+            - good * (MIN_STRENGTH_GAIN_PER_METRE * longest + MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE * straight),
         )
 
     return max(combinations(marks, 3), key=preference, default=tuple(marks))

@@ -62,10 +62,10 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         found.append([1e-6 * size for size in sizes if size is not None])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
     predicted = [
-        expected.distance_criterion_before[0],
-        expected.distance_criterion_after[0],
-        expected.coordinate_criterion_before[0],
-        expected.coordinate_criterion_after[0],
+        expected.distance_disagreement_before[0],
+        expected.distance_disagreement_after[0],
+        expected.coordinate_disagreement_before[0],
+        expected.coordinate_disagreement_after[0],
     ]
     assert np.all(np.abs(mean - predicted) < 3.5 * error + 0.005 * mean)
     assert error[1] < 0.03 * mean[1], "the comparison would not notice a wrong prediction"
@@ -74,8 +74,8 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
 def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
     predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1,), 2)))
     many = predictor.expected_disagreement({"range noise": np.array([0.0, 1.0, 2.0])})
-    assert np.all(np.diff(many.distance_criterion_after) > 0)
+    assert np.all(np.diff(many.distance_disagreement_after) > 0)
     one = predictor.expected_disagreement({"range noise": 2.0})
-    assert many.coordinate_criterion_after[2] == pytest.approx(one.coordinate_criterion_after[0], rel=1e-12)
+    assert many.coordinate_disagreement_after[2] == pytest.approx(one.coordinate_disagreement_after[0], rel=1e-12)
     with pytest.raises(ModelError, match="range noise"):
         predictor.expected_disagreement({"range nose": 1.0})

@@ -247,5 +247,5 @@ def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
         DisagreementPredictor.from_expected_precision(slow).expected_disagreement({"reflectors": size})
         for size in (1.0, 0.0)
     )
-    assert with_error.distance_criterion_before[0] > without.distance_criterion_before[0]
-    assert with_error.distance_criterion_after[0] > without.distance_criterion_after[0]
+    assert with_error.distance_disagreement_before[0] > without.distance_disagreement_before[0]
+    assert with_error.distance_disagreement_after[0] > without.distance_disagreement_after[0]
