@@ -33,16 +33,19 @@ DISPLACEMENTS_TABLE = Table(
     "displacements.csv",
     "displacement of each common point from the first epoch to the second",
     (
-        Column("target", "name", "text"),
+        Column("target", "name of the target", "text"),
         Column("moved", "True if the point moved", "flag"),
-        *number_columns(".4f", x_mm="coordinate in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
-        *(Column(f"d{a}_um", "displacement, second minus first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
+        *number_columns(".4f", **{f"{a}_mm": f"{a} coordinate in the first epoch" for a in "xyz"}),
+        *(Column(f"d{a}_um", f"displacement along {a}, second minus first", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
-        *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column(
-            "p_value", "p-value of the hypothesis of no displacement, corrected for the number of points", "p_value"
+        *number_columns("", ".1f", a_um="longest semi-axis of the 95 % confidence ellipsoid"),
+        *number_columns(
+            "", ".1f", b_um="middle semi-axis of the ellipsoid", c_um="shortest semi-axis of the ellipsoid"
         ),
-        *number_columns("", ".0f", detectable_um="displacement detected in any direction with a probability of 80 %"),
+        Column("p_value", "p-value of the hypothesis that this point did not move, corrected for all tests", "p_value"),
+        *number_columns(
+            "", ".0f", detectable_um="displacement that is detected in any direction with 80 % probability"
+        ),
     ),
 )
 """Table displacements.csv: displacement of each point between two epochs, with its test."""

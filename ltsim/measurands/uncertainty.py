@@ -19,8 +19,8 @@ RESULTS_TABLE = Table(
     "uncertainty.csv",
     "results of the tasks",
     (
-        *text_columns(task="name", result="name", unit="unit of all numbers in the row"),
-        Column("value", "estimate", csv_format=".9g", uncertainty_column="U"),
+        *text_columns(task="name of the task", result="name of the result", unit="unit of all numbers in the row"),
+        Column("value", "estimate of the result", csv_format=".9g", uncertainty_column="U"),
         Column("u", "standard uncertainty", csv_format=".9g", display_format=".2g"),
         Column("U", "expanded uncertainty for the coverage probability", csv_format=".9g", uncertainty_column="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", csv_format=".9g", display_format=".2g"),
@@ -38,7 +38,7 @@ BUDGET_TABLE = Table(
     "budget.csv",
     "contributions of the sources to the uncertainty of each result",
     (
-        *text_columns(task="name", result="name", source="source of uncertainty"),
+        *text_columns(task="name of the task", result="name of the result", source="source of uncertainty"),
         *text_columns(type="A, B, or not included: an error that changes no reading", unit="unit of u"),
         *number_columns(".6g", share="fraction of the result's variance", u="standard uncertainty from this source"),
     ),
@@ -46,9 +46,9 @@ BUDGET_TABLE = Table(
 """Table budget.csv: contribution of each source to the uncertainty of each result."""
 CONFORMITY_TABLE = Table(
     "conformity.csv",
-    "results against their tolerances (JCGM 106)",
+    "results compared with their tolerances (JCGM 106)",
     (
-        *text_columns(task="name", result="name"),
+        *text_columns(task="name of the task", result="name of the result"),
         Column("lower", "lower limit of the tolerance", n_digits=6),
         Column("upper", "upper limit of the tolerance", n_digits=6),
         Column("guard_band", "difference between a tolerance limit and the acceptance limit", n_digits=6),
@@ -62,7 +62,7 @@ HIDDEN_ERRORS_TABLE = Table(
     "hidden.csv",
     "undetectable errors that the uncertainty does not include",
     (
-        *text_columns(task="name", result="name", error="description of the error"),
+        *text_columns(task="name of the task", result="name of the result", error="description of the error"),
         Column("change", "change of the result by the error", n_digits=3),
         *text_columns(unit="unit of the change"),
     ),

@@ -6,7 +6,7 @@ layout and eliminates targets (3 x 3 blocks) and poses (leading rows of a Choles
 parameters of instrument and effects remains.
 
 Readings are linearised by the geometric error model; constraints and priors come from the adjustment. A test compares
-the results with those of `information.py`, which uses no blocks.
+the results with those of `expected_precision.py`, which uses no blocks.
 """
 
 from __future__ import annotations

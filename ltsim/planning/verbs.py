@@ -45,7 +45,7 @@ def plan(
     callbacks: SearchCallbacks | None = None,
     move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
-    """Layout of stations and reflectors, with reasons and the curve of cost against quality.
+    """Layout of stations and reflectors, with the reasons for it and the trade-off curve between cost and quality.
 
     Parameters
     ----------
