@@ -83,7 +83,7 @@ def correct(
     force: ForceOption = False,
     terminal: Terminal,
 ) -> None:
-    """Remove the instrument's errors, as a calibration estimated them, from a recording.
+    """Remove the instrument's errors, estimated by a calibration, from a recording.
 
     Readings stay in the frame of each set-up; --frame sets the coordinate frame of later results. A calibration whose
     readings contradict its model is rejected.

@@ -54,12 +54,12 @@ def campaign(
 ) -> int:
     """Simulate, calibrate and evaluate many trials; after an interruption --resume continues.
 
-    The files of rows are identical for any number of jobs, any interruption and either backend, on processors of one
-    type (named in the manifest). For a cluster, run `dask scheduler --scheduler-file cluster.json` on one machine,
-    `dask worker --scheduler-file cluster.json` on each machine that computes, and this command with --backend dask
+    The result files do not depend on the number of jobs, on interruptions and on the backend, on processors of one type
+    (named in the manifest). For a cluster, run `dask scheduler --scheduler-file cluster.json` on one machine, `dask
+    worker --scheduler-file cluster.json` on each machine that computes, and this command with --backend dask
     --scheduler cluster.json.
 
-    If levels, trials or statistics were added to the file, --resume computes only what is missing.
+    If levels of factors, trials or statistics were added to the campaign file, --resume computes only what is missing.
 
     Exit status 1 if the batch solver differs from the full solver by more than 0.001 sigma on a verified trial.
 

@@ -55,7 +55,7 @@ def check(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
-    """Test a recording in the field (go or no-go): faces, gross errors, bumps, drift, level and scatter.
+    """Test a recording in the field (go or no-go): faces, gross errors, moved tripods, drift, level and scatter.
 
     One set-up is enough. Repeated and two-face measurements of a target are compared, after a fit of the instrument
     errors. Exit status 0 for go, 1 for no-go. Writes check.json, two_face.csv and the picture check.svg to --out.
@@ -127,7 +127,7 @@ def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes: Iterator[None]) -> None:
-    """Repeated check of a growing recording: each new failed test is printed, and when no test fails any more.
+    """Repeated check of a growing recording; prints each new failed test, and a sentence when all tests pass again.
 
     `run_check` reads and checks the recording; `changes` yields after each change of its files. If the recording cannot
     be read or checked yet, the reason is printed once and the check is repeated after the next change.

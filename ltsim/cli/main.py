@@ -41,13 +41,13 @@ COMMANDS = {
     "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
     "simulate": ("simulate", "simulate one recording of a virtual hall"),
-    "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
+    "check": ("check", "test in the field, go or no-go: two faces, drift, moved tripods"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
     "calibrate": ("adjustment", "estimate the instrument's parameters from a recording"),
     "correct": ("adjustment", "remove the instrument's errors from a recording"),
     "evaluate": ("adjustment", "disagreement of the stations, before and after a calibration"),
     "verify": ("adjustment", "apply a calibration to another recording"),
-    "recover": ("campaign", "check that injected errors are recovered, for CI"),
+    "recover": ("campaign", "check in CI that injected instrument errors are recovered"),
     "campaign": ("campaign", "many simulated trials for combinations of factor levels"),
     "compare": ("check", "points that moved between two recordings"),
     "convert": ("convert", "convert a recording between formats"),
@@ -130,7 +130,7 @@ app = typer.Typer(cls=CommandGroup, name="ltsim", no_args_is_help=True, **TYPER_
 
 
 def print_version(is_requested: bool) -> None:
-    """Output of the version of ltsim, after which the program ends, if `is_requested`."""
+    """Output of the version of ltsim if `is_requested`; the program then ends."""
     if is_requested:
         from importlib.metadata import version
 

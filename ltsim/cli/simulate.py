@@ -146,7 +146,7 @@ def inject(
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
-    """Add the changes that faults cause to the readings of a recording, by the exact model; nothing else changes.
+    """Add the effects of faults to the readings of a recording, by the exact model; noise and outliers stay.
 
     Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
     """
@@ -212,7 +212,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects one of which, chosen at random, the demonstration injects: an SMR of another radius at one station."""
+"""Effects for the demonstration, which injects one of them at random: an SMR of another radius at one station."""
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""

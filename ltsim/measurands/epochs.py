@@ -328,8 +328,8 @@ def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -
 
 
 MAX_NAME_EXCHANGE_RATIO = 0.1
-"""Largest distance of two points from each other's first-epoch position at which their names count as exchanged,
-divided by the distance between the two points."""
+"""Largest ratio at which the names of two points count as exchanged: distance of each point from the first-epoch
+position of the other one, divided by the distance between the two points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Indices of the free rigid motions of a network, by the rank defect of its covariance matrix; 0 to 2 are translations
 along x, y and z, 3 to 5 are rotations about these axes."""
@@ -366,7 +366,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
 
 
 def order_of_exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
-    """Index (points,) of the point whose name each point has in the second epoch; None if no names are exchanged.
+    """Order (points,) of the second epoch's points that corrects exchanged names; None if no names are exchanged.
 
     Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another one of them.
     """

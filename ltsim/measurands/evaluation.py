@@ -41,7 +41,8 @@ from ltsim.solve.threads import single_threaded
 class TaskEvaluation:
     """Results of all tasks as arrays, with their uncertainty by propagation (GUM) and by Monte Carlo (JCGM 101).
 
-    A task can have several results, such as x, y and z. `to_result` converts the arrays to the result of `uncertainty`.
+    A task is a measurand (such as a length) with its targets; it can have several results, such as x, y and z.
+    `to_result` converts the arrays to the result of `uncertainty`.
     """
 
     tasks: Tasks

@@ -46,13 +46,14 @@ standard deviation, the size of each other distribution its half-width."""
 
 
 REFERENCE_LENGTHS_SOURCE_NAME = "known lengths"
-"""Name in budgets of the source of uncertainty "declared reference lengths"."""
+"""Name, in budgets, of the uncertainty that comes from declared reference lengths."""
 CONTROL_POINTS_SOURCE_NAME = "control points"
-"""Name in budgets of the source of uncertainty "coordinates of control points"."""
+"""Name, in budgets, of the uncertainty that comes from the coordinates of control points."""
 PRIOR_SOURCE_NAME = "specification"
-"""Name in budgets of the source of uncertainty "prior of the instrument parameters"."""
+"""Name, in budgets, of the uncertainty that comes from the prior of the instrument parameters."""
 CORRECTED_ERRORS_SOURCE_NAME = "plausible size of corrected errors"
-"""Name in budgets of the source of uncertainty "weak prior of the errors of the recording that the model corrects"."""
+"""Name, in budgets, of the uncertainty that comes from errors of the recording which the model corrects with a weak
+prior."""
 RANDOM_STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE_NAME: "what the maker guarantees"}
 """Key of the random stream of each source whose key is not its name. The draws depend on the key, which therefore must
 not change."""
@@ -81,7 +82,7 @@ class UncertaintySource(ValueEquality):
 
 @dataclass(frozen=True)
 class TaskInputs(ValueEquality):
-    """Points that tasks use, with the sources of their uncertainty."""
+    """Points that tasks (measurands such as a length or a circle) use, with the sources of their uncertainty."""
 
     network_or_coordinates: Adjustment | EpochCoordinates
     """Adjusted network of a recording, or list of coordinates with its covariance."""
@@ -171,8 +172,9 @@ def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: F
     """Sources of uncertainty from the groups of observations, except observations that only define the frame.
 
     `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
-    observations. Two kinds of errors are separate sources. Reference lengths share the errors of expansion coefficient
-    and thermometer. Errors of tracker heads, reflectors and groups of readings are estimated with a prior.
+    observations. Errors that reference lengths share (expansion coefficient, thermometer) are separate sources. Errors
+    that the adjustment estimates with a prior (of tracker heads, reflectors, groups of readings) are separate sources
+    too.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.is_used_reading)[1]

@@ -75,9 +75,9 @@ class Task(TomlSection):
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal coordinates [mm] of each target, by name, for `transformation`, `pose` and `deviation`."""
     align: bool = True
-    """True if the nominal points are aligned to the targets before deviations are computed."""
+    """True if nominal points are aligned to the targets before deviations are computed."""
     align_with_scale: bool = False
-    """True if this alignment also estimates a scale."""
+    """True if the alignment of nominal points to targets also estimates a scale."""
     tip_distance_mm: Finite = 0.0
     """Distance [mm] from the second reflector of a rod to the tip of the rod."""
     radius_offset_mm: Finite = 0.0

@@ -19,8 +19,9 @@ class MeasurementProposalEntry(Entry):
     action: str
     """Instruction to the user who makes the measurement."""
     kind: str = ""
-    """Kind of measurement: pointings (from the last station), return (a previous set-up repeated), station (a new
-    set-up), survey (all stations measured again), length (a distance calibrated) or reflectors (additional targets)."""
+    """Kind of measurement: pointings (from the last station), return (repetition of a previous set-up), station (new
+    set-up), survey (all stations measured again), length (calibration of a distance) or reflectors (additional
+    targets)."""
     minutes: Finite
     """Duration of the measurement [min]."""
     remaining_sigma_fraction: Finite
@@ -81,11 +82,14 @@ PROPOSALS_TABLE = Table(
         action={"title": "measurement"},
     ),
 )
-"""Table next.csv: proposed measurements, that with the largest benefit first."""
+"""Table next.csv: proposed measurements, the most beneficial first."""
 
 
 def _best_yaw_per_position(proposals: Sequence[MeasurementProposalEntry]) -> tuple[MeasurementProposalEntry, ...]:
-    """Proposals without new stations that differ from an earlier proposal in the yaw only."""
+    """Proposals without those new stations that differ from a better proposal only in their yaw.
+
+    `proposals` has the best proposal first.
+    """
     best_by_place: dict[object, MeasurementProposalEntry] = {}
     for number, proposal in enumerate(proposals):
         place = proposal.position_mm if proposal.kind == "station" else None

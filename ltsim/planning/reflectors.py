@@ -22,7 +22,8 @@ from ltsim.scene.visibility import nest_normals_of_smallest_incidence
 MAX_REFLECTOR_SWEEPS = 8
 """Largest number of sweeps, in each of which every reflector may be exchanged once."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
-"""Distance [m] within which a candidate place counts as the present place of a reflector, and is not listed twice."""
+"""Distance [m] within which a candidate position counts as the present position of a reflector, and is not listed
+twice."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,16 @@ class NormalMatrixTerms:
     """
 
     scorer: LayoutScorer
-    """Evaluator of layouts whose targets are the fixed ones, followed by reflectors at all places."""
+    """Evaluator of layouts whose targets are the fixed ones, followed by reflectors at all candidate positions
+    (places)."""
     fixed_normal_matrix: Floats
     """Normal matrix (K, K) of K unknowns by the fixed targets, reference lengths, priors and datum."""
     place_normal_matrices: Floats
-    """Contribution of a reflector at each of P places to the normal matrix of K unknowns, (P, K, K)."""
+    """Contribution of a reflector at each of P candidate positions (places) to the normal matrix of K unknowns, (P, K,
+    K)."""
     squared_column_norms: Floats
     """Squared norms (K,) of the columns of the design matrix of K unknowns, before elimination of targets and with
-    reflectors at all places."""
+    reflectors at all candidate positions (places)."""
     target_block_inverses: Floats
     """Inverses (E, 3, 3) of the blocks of the E eliminated targets: fixed targets without those of the gauge, followed
     by reflectors at all places (`LayoutScorer.eliminate_targets`)."""
@@ -80,7 +83,10 @@ class NormalMatrixTerms:
         return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, squared_norms, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
-        """Normal matrix (K, K) of K unknowns for the fixed targets and reflectors at the places with these indices."""
+        """Normal matrix (K, K) of K unknowns for the fixed targets and for reflectors at some candidate positions.
+
+        `places` holds the indices of these positions.
+        """
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
     def information_matrices(self, normal_matrices: Floats) -> Floats:
@@ -166,10 +172,10 @@ def with_reflectors_at_places(
 
 @dataclass(frozen=True)
 class ReflectorPlaces:
-    """Places for movable reflectors: first the present places of reflectors, then candidates of the search space."""
+    """Positions (places) for movable reflectors: first the present positions, then candidates of the search space."""
 
     places: Floats
-    """Coordinates (P, 3) [m] of the P places."""
+    """Coordinates (P, 3) [m] of the P positions (places) where a reflector can be."""
     place_names: tuple[str, ...]
     """Name that a reflector gets at each of the P places."""
     n_present_places: int

@@ -192,7 +192,7 @@ class LayoutSearcher:
         return objectives
 
     def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
-        """Index of the candidate set-up whose replacement of one station gives the smallest objective, and objective.
+        """Index of the best candidate set-up (smallest objective) in place of one station, and its objective.
 
         The station is given by its index. The objective is infinite if every candidate breaks a rule.
         """
