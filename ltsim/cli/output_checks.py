@@ -126,7 +126,7 @@ def _is_replaceable(
 
 
 def _existing_file_names(folder: Path, names: Iterable[str]) -> list[str]:
-    """Those of the file `names` that exist in a folder; raises RecordError if one of the files cannot be written.
+    """Names of the existing files among `names` in a folder; raises RecordError if one of these files is not writable.
 
     Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
