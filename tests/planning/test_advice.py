@@ -153,5 +153,5 @@ def test_an_evaluation_without_a_folder_says_that_nothing_is_written(
 ) -> None:
     monkeypatch.chdir(hall.parent)
     assert run(["plan", str(hall), "--move", "S1=1500,3000"]) == 0
-    assert "no file was written; --out DIR writes this plan" in capsys.readouterr().out
+    assert "No file was written; --out DIR writes this plan" in capsys.readouterr().out
     assert [path.name for path in hall.parent.iterdir()] == ["hall.toml"]
