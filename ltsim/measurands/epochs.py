@@ -134,7 +134,7 @@ def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: C
         return comparison
     moved_names_text = f": {names_text(list(free.moved_points))}" if free.moved_points else ""
     note = (
-        f"the points moved together, like one rigid body: aligned by {option_text('free=True')}, "
+        f"most points moved together like one rigid body; after alignment of the lists by {option_text('free=True')}, "
         f"{len(free.moved_points)} of {n_points} points moved{moved_names_text}"
     )
     return comparison.model_copy(update={"notes": (*comparison.notes, note), "has_common_rigid_motion": True})

@@ -220,9 +220,7 @@ class SearchSpace(ValueEquality):
                 if not ok
             ]
             if turned:
-                words = (
-                    f"no fixed nest of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
-                )
+                words = f"fixed nests of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} cannot be aimed at all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 

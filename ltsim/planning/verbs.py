@@ -331,5 +331,5 @@ def _evaluate_alternative(
         return StationAlternative(description, survey, rules + check.violations_clause, np.inf, False, move)
     worst_point = max(check.error_by_point_m, key=lambda name: check.error_by_point_m[name])
     worst_error = check.error_by_point_m[worst_point]
-    text = f"{rules}worst point {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 % confidence"
+    text = f"{rules}worst point {worst_point}: error at most {worst_error / MICROMETRE:.1f} um at 95 % confidence"
     return StationAlternative(description, survey, text, worst_error, not broken, move)
