@@ -77,7 +77,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
         similar = _suggestion(name, builtin_plan_names())
-        raise InputError(f"{safe_excerpt(name)}: there is neither a file nor a built-in plan of this name; {similar}")
+        raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan of this name; {similar}")
     with as_input_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
