@@ -1,10 +1,10 @@
-"""What each dependency costs to install and to load, beside what it saves: the table of docs/install.md.
+"""Table of docs/install.md: size, load time and task of each dependency.
 
     python -m benchmarks.install_cost
 
-`whole` is the size of a package with all that it needs itself; `freed` is what would go if ltsim did without it, since
-packages share what they need. Seconds are processor time of loading it in a process of its own, the interpreter's own
-start taken off, least of three; nothing is downloaded.
+`whole` is the size of a package with all its dependencies. `freed` is the disk space that its removal would free; it
+is smaller, because packages share dependencies. The load time is the processor time of the import in a new process,
+without the start of the interpreter, smallest of three measurements. Nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 SAVES = {
-    "numpy": "arrays: everything rests on it",
+    "numpy": "arrays, used by all packages of ltsim",
     "scipy": "factorisations, sparse matrices, rotations, distributions, root finding",
-    "pyvista": "the 3D view and the pictures of the workshop (vtk)",
-    "trame-vtk": "the page with the 3D view that opens offline",
-    "trimesh": "CAD files in all their formats",
-    "embreex": "rays against CAD files and boxes that stand in the way",
-    "shapely": "outlines of the floor of a plan",
-    "tomlkit": "TOML written as people read it",
-    "filelock": "one campaign at a time in a folder, on every system",
-    "joblib": "processes: campaigns, recovery, plans",
+    "pyvista": "3D view and pictures of the hall (with VTK)",
+    "trame-vtk": "page with the 3D view, which works offline",
+    "trimesh": "CAD files with triangle meshes (STL, OBJ, PLY, glTF)",
+    "embreex": "fast tests whether obstacles block lines of sight",
+    "shapely": "polygons of the floor in a plan",
+    "tomlkit": "TOML files with comments and layout for people",
+    "filelock": "lock of a campaign folder against a second campaign, on every operating system",
+    "joblib": "several processes in campaigns, recovery and plans",
     "matplotlib": "figures of reports",
-    "typer": "the command line, its help and completion",
-    "rich": "progress and signs of life on a terminal",
-    "pydantic": "settings and result files checked, with a sentence for what is wrong",
-    "pyarrow": "rows of campaigns as Parquet",
-    "duckdb": "queries over millions of rows in bounded memory",
-    "jinja2": "the report, escaped",
-    "threadpoolctl": "one thread a process where processes share the work",
-    "numba": "the campaigns' compiled kernels",
-    "defusedxml": "XML from strangers (gama-local, OpenIndy)",
+    "typer": "command line with help and completion",
+    "rich": "progress bars on a terminal",
+    "pydantic": "validation of input and result files, with error messages",
+    "pyarrow": "result rows of campaigns in Parquet files",
+    "duckdb": "queries of millions of result rows in limited memory",
+    "jinja2": "HTML of reports, with special characters escaped",
+    "threadpoolctl": "one thread per process when several processes run",
+    "numba": "compiled numerical kernels of campaigns",
+    "defusedxml": "safe reading of XML files of other programs (gama-local, OpenIndy)",
     "pandas": "results as data frames in notebooks",
-    "xarray": "sweeps as datasets with axes in notebooks",
-    "openpyxl": "readings from workbooks",
+    "xarray": "campaign results as datasets with axes in notebooks",
+    "openpyxl": "readings from Excel workbooks",
     "dask": "campaigns on a cluster",
     "distributed": "campaigns on a cluster",
     "cascadio": "STEP and IGES files as obstacles",
@@ -94,7 +94,7 @@ def _clock(before: str) -> float:
 
 
 def rows() -> list[list[str]]:
-    """One row a package: name, extra, MB with what it needs, MB freed without it, seconds, what it saves."""
+    """Row of each package: name, version, extra, whole size [MB], freed size [MB], load time [s], task in ltsim."""
     packages, known = declared(), dict[str, set[str]]()
     closure = {name: needs(name, known) for name in packages}
     size = {name: megabytes(name) for name in set().union(*closure.values())}
@@ -115,7 +115,7 @@ def rows() -> list[list[str]]:
 
 def main() -> None:
     """Print the table."""
-    header = ["package", "version", "extra", "whole [MB]", "freed [MB]", "loads in [s]", "what it saves"]
+    header = ["package", "version", "extra", "whole [MB]", "freed [MB]", "loads in [s]", "task in ltsim"]
     lines = [header, ["---"] * len(header), *sorted(rows(), key=lambda row: -float(row[4] or -1))]
     text = "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
     sys.stdout.write(text)

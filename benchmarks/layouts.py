@@ -40,7 +40,7 @@ def searcher(faces: int) -> LayoutSearcher:
 def from_scratch(search: LayoutSearcher, number: int) -> int:
     """A batch of layouts, everything computed anew; how many of them may be."""
     draw, count = random_stream(2, "layouts", number), search.n_stations
-    grid = search.grid_setup_blocks(0).setup_positions
+    grid = search.normal_blocks_of_grid(0).setup_positions
     position = grid[draw.integers(0, len(grid), (BATCH, count))] + draw.uniform(-0.05, 0.05, (BATCH, count, 3))
     yaw = draw.uniform(0, 2 * np.pi, (BATCH, count))
     flat = position.reshape(-1, 3)
@@ -54,7 +54,7 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
 
 def exchanged(search: LayoutSearcher, number: int) -> int:
     """One station of a layout replaced by every set-up of the table."""
-    draw, table = random_stream(3, "exchange", number), search.grid_setup_blocks(0)
+    draw, table = random_stream(3, "exchange", number), search.normal_blocks_of_grid(0)
     chosen = draw.integers(0, len(table.setup_positions), search.n_stations)
     search.best_replacement(table.select(chosen), int(draw.integers(search.n_stations)), table)
     return len(table.setup_positions)
@@ -69,7 +69,7 @@ def worker(kind: str, faces: int, number: int, together: Barrier, results: multi
         begin, used, done, round_ = time.perf_counter(), time.process_time(), 0, 0
         while time.perf_counter() - begin < SECONDS:
             step(search, 1_000 * number + round_)
-            done += BATCH if kind == "scratch" else len(search.grid_setup_blocks(0).setup_positions)
+            done += BATCH if kind == "scratch" else len(search.normal_blocks_of_grid(0).setup_positions)
             round_ += 1
         results.put((done, time.perf_counter() - begin, time.process_time() - used))
 

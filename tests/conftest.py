@@ -46,5 +46,7 @@ def no_notes_on_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     """A command without notes that depend on the clock or on compiled code from earlier runs."""
     from ltsim.cli import terminal
 
-    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 3600.0)  # tests of the progress shorten the delay themselves
+    monkeypatch.setattr(
+        terminal, "FIRST_PROGRESS_DELAY_S", 3600.0
+    )  # tests of the progress shorten the delay themselves
     monkeypatch.setattr(terminal.Terminal, "print_note_on_compilation", lambda self: None)

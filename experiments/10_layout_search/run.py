@@ -10,13 +10,13 @@ from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.information import CriteriaPredictor, LayoutInformation
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.plan_search import make_plan
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario
-from ltsim.planning.result import Plan, with_layout
+from ltsim.planning.result import Plan, scenario_with_layout
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_inputs import layout_objective, make_search_space, planned_survey
 from ltsim.planning.spec import PlanFile
@@ -27,8 +27,8 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
 PROMISED = (
-    ("before", "criterion_before", "um", MICRO),
-    ("after", "criterion_after", "um", MICRO),
+    ("before", "disagreement_before", "um", MICRO),
+    ("after", "disagreement_after", "um", MICRO),
     ("improvement", "improvement", "percent", 1.0),
 )
 
@@ -39,8 +39,8 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
     search = LayoutSearcher(site, layout_objective(file, site.survey))
     corners = np.vstack(
         [
-            search.grid_setup_blocks(0).setup_positions.min(axis=0),
-            search.grid_setup_blocks(0).setup_positions.max(axis=0),
+            search.normal_blocks_of_grid(0).setup_positions.min(axis=0),
+            search.normal_blocks_of_grid(0).setup_positions.max(axis=0),
         ]
     )
     rng, values, best = random_stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
@@ -77,7 +77,7 @@ def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict
     surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
     if few is not None:
         surveys["fewest"] = f"fewest, {len(few.survey.station_positions)} stations", few.survey
-    found = {kind: (name, with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
+    found = {kind: (name, scenario_with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
     return {"paper": ("paper, stations 2 to 5 ours", plan.scenario)} | found
 
 
@@ -95,7 +95,7 @@ def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
     return np.sqrt(spread.max(axis=-1))
 
 
-def corrections(information: LayoutInformation) -> Floats:
+def corrections(information: ExpectedPrecision) -> Floats:
     """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
 
     Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place.
@@ -109,9 +109,9 @@ def corrections(information: LayoutInformation) -> Floats:
 
 def quality(scenario: Scenario) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
-    information = LayoutInformation.from_survey(planned_survey(scenario))
-    covariance, rows = information.scaled_covariance, corrections(information)
-    expected, promised = CriteriaPredictor.from_information(information).expected_criteria(), {}
+    information = ExpectedPrecision.from_survey(planned_survey(scenario))
+    covariance, rows = information.covariance_in_prior_sigmas, corrections(information)
+    expected, promised = DisagreementPredictor.from_expected_precision(information).expected_disagreement(), {}
     for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), PROMISED):
         promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{attribute}")[0]
     return {
@@ -136,7 +136,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     file.write_text(scenario_to_toml(scenario), encoding="utf-8")
     own = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
     results = lt.campaign(own, out=folder, jobs=given.jobs, force=True)
-    information = LayoutInformation.from_survey(planned_survey(scenario))
+    information = ExpectedPrecision.from_survey(planned_survey(scenario))
     predicted, found = information.instrument_sigmas, results.z_score_summaries()
     rows: list[Row] = [
         {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.si_per_display_unit,
@@ -160,7 +160,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
 
 def lot_row(values: Floats, plan: PlannedNetwork) -> Row:
     """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
-    paper = d_criterion(LayoutInformation.from_survey(planned_survey(plan.scenario)).scaled_covariance)
+    paper = d_criterion(ExpectedPrecision.from_survey(planned_survey(plan.scenario)).covariance_in_prior_sigmas)
     named = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
     of_ten = values[: len(values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
     row = (

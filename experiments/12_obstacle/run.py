@@ -2,7 +2,7 @@
 
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import d_criterion
 from ltsim.planning.plan_search import make_plan
@@ -26,11 +26,11 @@ def with_machine(scenario: Scenario) -> Scenario:
 
 def row(name: str, scenario: Scenario, survey: PlannedSurvey) -> Row:
     """Sights and information of a layout in a workshop."""
-    information = LayoutInformation.from_survey(survey)
+    information = ExpectedPrecision.from_survey(survey)
     return {
         "layout": name,
         "sights_lost": int((~survey.is_visible).sum()),
-        "D": round(float(d_criterion(information.scaled_covariance)), 4),
+        "D": round(float(d_criterion(information.covariance_in_prior_sigmas)), 4),
         "target_rms_um": round(information.target_rms / MICROMETRE, 2),
         "largest_target_um": round(float(information.target_point_errors.max()) / MICROMETRE, 2),
     }

@@ -17,27 +17,27 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
-from ltsim.planning.information import CriteriaPredictor, LayoutInformation
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedPrecision
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.simulation.scenario import load_scenario
 
 OUTPUTS = {
     "distance improvement": "distance_improvement",
     "coordinate improvement": "coordinate_improvement",
-    "distance after": "distance_criterion_after",
-    "coordinate after": "coordinate_criterion_after",
+    "distance after": "distance_disagreement_after",
+    "coordinate after": "coordinate_disagreement_after",
 }
 """Attribute of the expected criteria by the name of an output."""
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest size of each uncertain group of errors, in units of its stated size."""
 
 
-def sensitivity(predictor: CriteriaPredictor, ranges: Ranges, samples: int, seed: int) -> list[Row]:
+def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, seed: int) -> list[Row]:
     """First-order and total index of each output by each input, with 95 % intervals (bootstrap)."""
     names, logs = list(ranges), np.log(list(ranges.values()))
 
     def criteria(sizes: Floats) -> Floats:
-        expected = predictor.expected_criteria(dict(zip(names, np.exp(sizes), strict=True)))
+        expected = predictor.expected_disagreement(dict(zip(names, np.exp(sizes), strict=True)))
         return np.stack([getattr(expected, attribute) for attribute in OUTPUTS.values()])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
@@ -69,15 +69,15 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
     return found
 
 
-def improvement_rows(predictor: CriteriaPredictor, ranges: Ranges, seed: int) -> list[Row]:
+def improvement_rows(predictor: DisagreementPredictor, ranges: Ranges, seed: int) -> list[Row]:
     """Both improvements over 2,000 draws of the sizes, and what is left afterwards."""
     rng = np.random.default_rng(seed)
     sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
-    expected, rows = predictor.expected_criteria(sizes), []
+    expected, rows = predictor.expected_disagreement(sizes), []
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
         named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
-        left = np.median(getattr(expected, f"{kind}_criterion_after") / MICROMETRE)
+        left = np.median(getattr(expected, f"{kind}_disagreement_after") / MICROMETRE)
         rows.append({"criterion": kind} | named | {"after_median_um": left})
     return rows
 
@@ -90,7 +90,7 @@ def run(given: Options) -> Made:
         survey = planned_survey(load_scenario(name))
         effects = effects_of(config["left_out"], survey.station_names)
         predictor, left_out = (
-            CriteriaPredictor.from_information(LayoutInformation.from_survey(survey), effects),
+            DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey), effects),
             {effect.name for effect in effects},
         )
         ranges = {g: tuple(config["range_left_out" if g in left_out else "range"]) for g in predictor.error_groups}

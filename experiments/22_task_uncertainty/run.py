@@ -69,8 +69,8 @@ def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names)
             continue  # Forms are not negative, directions not independent: the Monte Carlo interval is for these.
         rows.append({
             "case": case, "task": task, "result": result, "unit": unit,
-            "predicted_sigma": round(float(linear.sigma[i]) / factor, 7),
-            "observed_over_predicted": round(float(scatter[i] / linear.sigma[i]), 4),
+            "predicted_sigma": round(float(linear.standard_uncertainties[i]) / factor, 7),
+            "observed_over_predicted": round(float(scatter[i] / linear.standard_uncertainties[i]), 4),
             "uncertainty_of_the_ratio": round(float(1 / np.sqrt(2 * (count - 1))), 4),
             "inside_95_percent": round(100 * float(inside[i]), 2),
             "uncertainty_of_the_share": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),

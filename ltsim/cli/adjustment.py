@@ -1,4 +1,4 @@
-"""Commands `adjust`, `calibrate`, `correct`, `evaluate`, `verify`, `diagnose` and `history`."""
+"""Commands for networks of stations: `adjust`, `calibrate`, `correct`, `evaluate`, `verify`, `diagnose`, `history`."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from ltsim.recordings import Recording
 
 MIN_REPORTED_READING_CHANGE = 0.005
-"""Largest change of the readings [um for distances, arcsec for angles] below which `correct` reports that no correction
-was applied. It is half of the last digit that is printed for an angle."""
+"""Change of the readings [um for distances, arcsec for angles] from which on `correct` reports a correction; after a
+smaller one it reports that the readings do not change. It is half of the last digit that is printed for an angle."""
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
 ]
@@ -50,7 +50,7 @@ def adjust(
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
 
-    Writes calibration.json, targets.csv, targets.covariance.csv (joint) and residuals.csv to --out.
+    Writes calibration.json, targets.csv, targets.covariance.csv (joint covariance) and residuals.csv to --out.
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
@@ -66,7 +66,7 @@ def calibrate(
 ) -> None:
     """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
 
-    Writes calibration.json, targets.csv, targets.covariance.csv (joint) and residuals.csv to --out.
+    Writes calibration.json, targets.csv, targets.covariance.csv (joint covariance) and residuals.csv to --out.
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
@@ -83,7 +83,7 @@ def correct(
     force: ForceOption = False,
     terminal: Terminal,
 ) -> None:
-    """Remove the instrument's errors from a recording, by a calibration.
+    """Remove the instrument's errors, estimated by a calibration, from a recording.
 
     Readings stay in the frame of each set-up; --frame sets the coordinate frame of later results. A calibration whose
     readings contradict its model is rejected.
@@ -103,7 +103,7 @@ def correct(
         terminal.print_notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
         estimated = ", ".join(effect_title(effect.effect) for effect in instrument.effects)
-        terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
+        terminal.print_notes([f"effects that were estimated with the calibration stay in the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)
     write_outputs({out: partial(lt.write, corrected_recording)}, force=force)
@@ -183,9 +183,10 @@ def _run_estimation(
     terminal: ResultFolderTerminal,
     options: dict[str, Any],
 ) -> None:
-    """Estimation by `adjust` or `calibrate` (`estimator`), and output of its result on the terminal and in the folder.
+    """Run of `lt.adjust` or `lt.calibrate` (`estimator`) with output of the result on the terminal and in the folder.
 
-    Without --force each command replaces only earlier results of the same command.
+    Without --force each command replaces only earlier results of the same command. `options` are keyword arguments of
+    the estimator.
     """
     from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
     from ltsim.calibration.calibration import Calibration
@@ -207,7 +208,7 @@ def _run_estimation(
 
 
 def _write_and_print_criteria(terminal: ResultFolderTerminal, criteria: Criteria) -> None:
-    """Output of criteria on the terminal and, if a folder is given, in its file."""
+    """Output of criteria on the terminal and, if the terminal has a folder, in the file of this folder."""
     criteria = terminal.write_result(criteria)
     terminal.print_json(criteria.content())
     terminal.print_text(criteria.table().text())
@@ -216,7 +217,7 @@ def _write_and_print_criteria(terminal: ResultFolderTerminal, criteria: Criteria
 
 
 def read_calibration_with_notes(terminal: Terminal, path: Path) -> Calibration:
-    """Calibration from a file, with its notes printed; raises RecordError."""
+    """Calibration from a file, whose notes are printed; raises RecordError."""
     from ltsim.calibration.files import read_calibration
 
     calibration = read_calibration(path)
@@ -232,7 +233,7 @@ HeldOutErrorOption = Annotated[
     typer.Option(
         "--held-out/--no-held-out",
         help="Compute the held-out error by 5-fold cross-validation: each of five searches predicts the fifth of the "
-        "readings that it does not use. Effects that predict worse than no effect are stated as improbable. Default: "
+        "readings that it does not use. Effects that predict worse than no effect are reported as improbable. Default: "
         "only for small recordings.",
     ),
 ]
@@ -249,8 +250,8 @@ def diagnose(
 ) -> int:
     """Test whether recording and model agree; if not, report cause, location, probability, and the next measurement.
 
-    Writes diagnosis.json, targets.csv (adjusted with the findings in the model), targets.covariance.csv (joint),
-    residuals and the recording to --out.
+    Writes diagnosis.json, targets.csv (adjusted with the findings in the model), targets.covariance.csv (joint
+    covariance), residuals and the recording to --out.
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
@@ -280,8 +281,8 @@ FailOnChangeOption = Annotated[
     bool,
     typer.Option(
         "--fail-on-change",
-        help="Exit with status 1 if an event exceeds the day-to-day changes or, with few calibrations, the last "
-        "differs from the first (for CI).",
+        help="Exit with status 1 if a change exceeds the day-to-day changes or, with few calibrations, if the last "
+        "calibration differs from the first (for CI).",
     ),
 ]
 
@@ -325,7 +326,7 @@ def history(
 def _calibrations_or_recordings(
     terminal: Terminal, source: Path, reading_options: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
-    """Calibrations or recordings of a path, by label; with `each_set_up`, one recording per set-up."""
+    """Calibration or recording at a path, by its label; with `each_set_up` one recording for each of its set-ups."""
     from ltsim.calibration.calibration import Calibration
 
     file = Calibration.FILE

@@ -1,4 +1,4 @@
-"""Commands `campaign` and `recover`: trials for combinations of factor levels; check that errors are recovered."""
+"""Commands `campaign` and `recover`: many simulated trials, and a check that known instrument errors are recovered."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
+from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 MAX_BATCH_SOLVER_DIFFERENCE = 1e-3
-"""Largest permitted difference [sigma] between the estimates of batch solver and full solver on a verified trial; after
-a larger one the exit status is 1."""
+"""Largest permitted difference [sigma] between the estimates of the batch solver and of the full solver in a verified
+trial; above it the exit status is 1."""
 
 
 CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
@@ -54,12 +54,12 @@ def campaign(
 ) -> int:
     """Simulate, calibrate and evaluate many trials; after an interruption --resume continues.
 
-    The files of rows are identical for any number of jobs, any interruption and either backend, on processors of one
-    type (named in the manifest). For a cluster, run `dask scheduler --scheduler-file cluster.json` on one machine,
-    `dask worker --scheduler-file cluster.json` on each machine that computes, and this command with --backend dask
+    The result files do not depend on the number of jobs, on interruptions and on the backend, on processors of one type
+    (named in the manifest). For a cluster, run `dask scheduler --scheduler-file cluster.json` on one machine, `dask
+    worker --scheduler-file cluster.json` on each machine that computes, and this command with --backend dask
     --scheduler cluster.json.
 
-    If levels, trials or statistics were added to the file, --resume computes only what is missing.
+    If levels of factors, trials or statistics were added to the campaign file, --resume computes only what is missing.
 
     Exit status 1 if the batch solver differs from the full solver by more than 0.001 sigma on a verified trial.
 
@@ -115,7 +115,7 @@ def campaign(
 
 
 def solver_difference_sentence(comparison: SolverComparison, results: CampaignResults) -> str:
-    """Sentence on a cell (combination of factor levels) in which batch solver and full solver differ too much."""
+    """Sentence on a combination of factor levels (cell) in which batch solver and full solver differ too much."""
     cell = results.manifest.cells[comparison.cell].label
     return (
         f"cell {comparison.cell + 1} ({cell}), {comparison.method}: the batch solver differs from the full solver by "
@@ -140,12 +140,12 @@ RecoverJobsOption = Annotated[
 JunitFileOption = Annotated[
     Path | None,
     typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."),
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
 ]
 TRUE_ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-"""Text on the origin of the true instrument errors, by the field `error_origin` of a recovery."""
-MIN_PARALLEL_TRIALS = 100
-"""Number of trials below which one process is used by default, since it is faster than several."""
+"""Text that says where the true instrument errors come from, by the field `error_origin` of a recovery."""
+MIN_TRIALS_FOR_SEVERAL_PROCESSES = 100
+"""Number of trials from which on several processes are used by default; for fewer trials one process is faster."""
 
 
 def recover(
@@ -171,7 +171,9 @@ def recover(
     from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
     terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
-    workers = (1 if options["trials"] < MIN_PARALLEL_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
+    workers = (
+        (1 if options["trials"] < MIN_TRIALS_FOR_SEVERAL_PROCESSES else os.cpu_count() or 1) if jobs is None else jobs
+    )
     with terminal.show_progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
     result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv_text()})
@@ -199,9 +201,9 @@ def recover(
 
 
 def junit_xml(result: Recovery, suite_name: str) -> str:
-    """JUnit XML of the checks of a recovery: one test case per check, with its value and limits.
+    """JUnit XML with the checks of a recovery: one test case per check, with value and limits of its statistic.
 
-    The run time is divided evenly among the test cases.
+    The run time is divided evenly among the test cases. `suite_name` is the name of the scenario.
     """
     checks, unchecked = result.checks, result.unchecked_parameters
     failed, seconds = len(result.failed_checks()), result.arrays.run_time_s

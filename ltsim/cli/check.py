@@ -43,7 +43,7 @@ AcceptanceFileArgument = Annotated[
 ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL_S = 1.0
-"""Time [s] between two checks whether the files of a growing recording have changed."""
+"""Time [s] between two looks at the files of a growing recording, to see whether they have changed."""
 
 
 def check(
@@ -55,10 +55,10 @@ def check(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
-    """Go or no-go: two-face differences, gross errors, bumps, drift, level and scatter; status 1 for no-go.
+    """Test a recording in the field (go or no-go): faces, gross errors, moved tripods, drift, level and scatter.
 
     One set-up is enough. Repeated and two-face measurements of a target are compared, after a fit of the instrument
-    errors. Writes check.json, two_face.csv and the picture check.svg to --out.
+    errors. Exit status 0 for go, 1 for no-go. Writes check.json, two_face.csv and the picture check.svg to --out.
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
@@ -86,9 +86,9 @@ def check(
 
 
 def parse_mpe(text: str | None) -> tuple[float, float] | None:
-    """Limit of two-face differences, A [um] plus B [um/m] times the range, from the text `A,B`; None without a text.
+    """Limit A [um] + B [um/m] times the range of two-face differences as (A, B), from a text such as "20,6".
 
-    Raises RecordError unless A > 0 and B >= 0.
+    None without a text. Raises RecordError unless A > 0 and B >= 0.
     """
     if text is None:
         return None
@@ -103,7 +103,7 @@ def parse_mpe(text: str | None) -> tuple[float, float] | None:
 
 
 def wait_for_changes(source: Path) -> Iterator[None]:
-    """Iterator that yields at once and then whenever a file of the recording has changed."""
+    """Iterator that yields at once, and then each time a file of the recording `source` has changed."""
     last_states: tuple[tuple[str, int, int], ...] | None = None
     while True:
         states = _file_states(source)
@@ -114,7 +114,7 @@ def wait_for_changes(source: Path) -> Iterator[None]:
 
 
 def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
-    """Name, size [byte] and time of change [ns] of each file of a recording."""
+    """Name, size [byte] and time of the last change [ns] of each file of a recording."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     states = []
     for file in files:
@@ -127,10 +127,10 @@ def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes: Iterator[None]) -> None:
-    """Repeated check of a growing recording; new failed tests are printed, and the change from no-go to go.
+    """Repeated check of a growing recording; prints each new failed test, and a sentence when all tests pass again.
 
-    A recording that cannot be read or checked yet is tried again after the next change of its files. Each reason is
-    printed once.
+    `run_check` reads and checks the recording; `changes` yields after each change of its files. If the recording cannot
+    be read or checked yet, the reason is printed once and the check is repeated after the next change.
     """
     reported_failures: set[tuple[str, str, tuple[str, ...]]] = set()
     reported_reasons: set[str] = set()
@@ -158,7 +158,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
 
 
 def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
-    """Station, kind and targets of a test; a failed test is printed again only if its key is new."""
+    """Station, kind and targets of a test, by which a failed test is recognised, so that it is printed once."""
     return item.station, item.kind, item.targets
 
 
@@ -217,7 +217,7 @@ ComparedResultsOption = Annotated[
     typer.Option("--against", metavar="FILE", help="Results of another recording or instrument, compared by E_n."),
 ]
 NO_COMMON_RESULT_TEXT = "no result of the other file has the same task, name and unit"
-"""Error message if two result files of `uncertainty` contain no result with the same task, name and unit."""
+"""Text if two result files of `uncertainty` contain no result with the same task, name and unit."""
 
 
 def compare(
@@ -254,7 +254,7 @@ def compare(
 
 
 def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
-    """List of coordinates read from a path, with its notes and size printed; the path itself for any other file."""
+    """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself."""
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
@@ -325,9 +325,10 @@ def uncertainty(
 def _data_of_tasks(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
-    """Data that the tasks evaluate: recording, simulated recording of a scenario, list of coordinates, or its path.
+    """Data that the tasks evaluate: recording, simulated recording of a scenario, list of coordinates, or a path.
 
-    `source_is_in_file` is True if the task file names the source; its path is then relative to that file.
+    `file` is the task file, `seed` that of the simulation. `source_is_in_file` is True if the task file names the
+    source; its path is then relative to that file.
     """
     from ltsim.recordings.coordinates import is_coordinate_file
 

@@ -1,4 +1,4 @@
-"""Command `convert`: conversion between formats of recordings."""
+"""Command `convert`: conversion of a recording from one file format to another."""
 
 from functools import partial
 from pathlib import Path
@@ -59,5 +59,5 @@ def convert(
     width = max(map(len, topics))
     terminal.print_text("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
     notes_text = f"see the {len(recording.notes)} notes above" if recording.notes else "nothing"
-    terminal.print_text(f"  {'assumed':{width}}  {notes_text}")
+    terminal.print_text(f"  {'assumptions':{width}}  {notes_text}")
     terminal.print_text(f"written to {destination} ({to})")

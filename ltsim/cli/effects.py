@@ -1,4 +1,4 @@
-"""Command `effects`: the catalogue of physical effects."""
+"""Command `effects`: list of the catalogue of physical effects, and entries of single effects."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ EffectNameArgument = Annotated[
     str | None, typer.Argument(metavar="[NAME]", help="Name of an effect; default a list of all.")
 ]
 
-TEXT_WIDTH = 110
-"""Largest length of a line of a catalogue entry [characters]."""
-LABEL_WIDTH = 13
-"""Width of the column of labels of a catalogue entry [characters]."""
-CONVENTIONS_TEXT = (
+CATALOGUE_ENTRY_WIDTH = 110
+"""Largest length [characters] of a line in a printed catalogue entry."""
+CATALOGUE_LABEL_WIDTH = 13
+"""Width [characters] of the column of labels in a printed catalogue entry."""
+CATALOGUE_CONVENTIONS_TEXT = (
     "Delta is the true value - the reading. az is positive counter-clockwise, el upward; d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. The correlations are\n"
     "between the residuals that two effects cause in the reference workshop. Two numbers are for measurements in one\n"
     "face and in two faces, as in (0.46, 0.95)."
 )
-"""Explanation of the signs, symbols and correlations in a catalogue entry, printed at its end."""
+"""Explanation of the signs, symbols and correlations in a catalogue entry, which is printed after the entry."""
 
 
 def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
@@ -59,29 +59,29 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 
 def _effect_list_line(effect: EffectDescription, name_width: int) -> str:
-    """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
+    """Line of the list of effects: name and summary, and for an effect of another package the name of the package."""
     origin = f" [{effect.external_provider}]" if effect.external_provider else ""
     return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"
 
 
 def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
-    """Catalogue entry of an effect as text, with the tables of its parameters and constants."""
+    """Text of the catalogue entry of an effect, with the tables of its parameters and its shape parameters."""
     lines = [f"{effect.name}: {effect.title} ({effect.group})", "", f"{effect.cause[0].upper()}{effect.cause[1:]}."]
     lines += ["", effect.equation, ""]
     for label, text in effect.labelled_texts:
         lines += textwrap.wrap(
-            f"{label:<{LABEL_WIDTH}}{text}",
-            TEXT_WIDTH,
-            subsequent_indent=" " * LABEL_WIDTH,
+            f"{label:<{CATALOGUE_LABEL_WIDTH}}{text}",
+            CATALOGUE_ENTRY_WIDTH,
+            subsequent_indent=" " * CATALOGUE_LABEL_WIDTH,
             break_on_hyphens=False,
         )
     for table in tables:
         if table.rows:
             lines += ["", _text_without_effect_column(table)]
-    return "\n".join([*lines, "", CONVENTIONS_TEXT])
+    return "\n".join([*lines, "", CATALOGUE_CONVENTIONS_TEXT])
 
 
 def _text_without_effect_column(table: Table) -> str:
-    """Text of a table without its first column, the name of the effect."""
+    """Text of a table without its first column, which holds the name of the effect."""
     rows = [cells[1:] for cells in table.displayed_cells()]
     return align_columns(table.headings[1:], rows, n_text_columns=len(table.headings) - 1)

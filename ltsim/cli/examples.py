@@ -1,4 +1,4 @@
-"""Command `examples`: sample data and commented files, copied into a folder."""
+"""Command `examples`: copies of sample data and commented files in a folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ltsim.simulation.builtin import builtin_text
 ExamplesFolderArgument = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder to write to."), RESULT_FOLDER_OUTPUT
 ]
-EXAMPLE_COMMANDS = {
+COMMAND_BY_EXAMPLE_FILE = {
     "survey.csv": "ltsim diagnose survey.csv --frame hall.csv --out diagnosis",
     "hall.csv": "",
     "workshop.toml": "ltsim simulate workshop.toml --seed 7 --out recording",
@@ -30,11 +30,11 @@ EXAMPLE_COMMANDS = {
     "hall.ipynb": "jupyter lab hall.ipynb",
     "sweep.ipynb": "jupyter lab sweep.ipynb",
 }
-"""Example files, each with a command to try; a file without a command is an input of the previous command."""
+"""Command to try for each example file, by file name; empty for an input file of the preceding command."""
 
 
 def example_file_content(name: str) -> str:
-    """Content of an example file."""
+    """Content of the example file with this name."""
     if name == "workshop.toml":
         return builtin_text("paper-workshop")
     package = files("ltsim")
@@ -51,19 +51,20 @@ def examples(
 
     Example: ltsim examples my-folder
     """
-    for name in EXAMPLE_COMMANDS:
+    for name in COMMAND_BY_EXAMPLE_FILE:
         COMPARED_FILE_OUTPUT.check(folder / name, force)
     write_outputs(
-        {folder / name: partial(write_text, text=example_file_content(name)) for name in EXAMPLE_COMMANDS}, force=force
+        {folder / name: partial(write_text, text=example_file_content(name)) for name in COMMAND_BY_EXAMPLE_FILE},
+        force=force,
     )
     terminal.print_json(
         {
             "folder": str(folder),
-            "files": list(EXAMPLE_COMMANDS),
-            "commands": [line for line in EXAMPLE_COMMANDS.values() if line],
+            "files": list(COMMAND_BY_EXAMPLE_FILE),
+            "commands": [line for line in COMMAND_BY_EXAMPLE_FILE.values() if line],
         }
     )
     terminal.print_text(f"written to {folder}; try there:")
-    width = max(map(len, EXAMPLE_COMMANDS))
-    for name, command in EXAMPLE_COMMANDS.items():
+    width = max(map(len, COMMAND_BY_EXAMPLE_FILE))
+    for name, command in COMMAND_BY_EXAMPLE_FILE.items():
         terminal.print_text(f"  {name:{width}}  {command}".rstrip())

@@ -1,4 +1,4 @@
-"""Entry point `ltsim`: its commands, exit statuses and error messages."""
+"""Program `ltsim` with its commands, exit statuses and error messages."""
 
 import errno
 import gc
@@ -22,16 +22,16 @@ INVALID_INPUT_STATUS = 2
 INTERNAL_ERROR_STATUS = 70
 """Exit status after an internal error."""
 INTERRUPTED_STATUS = 130
-"""Exit status after an interruption by the user, 128 plus the number of the signal."""
+"""Exit status after an interruption by the user: 128 plus the number of the signal (2 for Ctrl-C)."""
 UNWRITABLE_OUTPUT_ERRNOS = (
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBADF,
     errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
-"""Error numbers of the operating system for output that cannot be written."""
+"""Error numbers of the operating system that mean that an output cannot be written (disk full, no permission)."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
-"""Base class of Click's errors on wrong usage, from Typer or from Click itself."""
+"""Base class of Click's errors on wrong usage, taken from Typer's own copy of Click or from the installed Click."""
 
 RepeatedOptionError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "UsageError")
 """Class of Click's error that is raised for a repeated option."""
@@ -41,13 +41,13 @@ COMMANDS = {
     "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
     "simulate": ("simulate", "simulate one recording of a virtual hall"),
-    "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
+    "check": ("check", "test in the field, go or no-go: two faces, drift, moved tripods"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
     "calibrate": ("adjustment", "estimate the instrument's parameters from a recording"),
     "correct": ("adjustment", "remove the instrument's errors from a recording"),
     "evaluate": ("adjustment", "disagreement of the stations, before and after a calibration"),
     "verify": ("adjustment", "apply a calibration to another recording"),
-    "recover": ("campaign", "check that injected errors are recovered, for CI"),
+    "recover": ("campaign", "check in CI that injected instrument errors are recovered"),
     "campaign": ("campaign", "many simulated trials for combinations of factor levels"),
     "compare": ("check", "points that moved between two recordings"),
     "convert": ("convert", "convert a recording between formats"),
@@ -62,26 +62,26 @@ COMMANDS = {
     "bench": ("check", "range error of a reflector against incidence, from a bench test"),
     "view": ("view", "show the hall in 3D"),
 }
-"""Module in `ltsim.cli` and help line of each command."""
+"""Module in `ltsim.cli`, and line of the help, of each command by name."""
 TYPER_SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
-"""Settings of Typer for the program and for each command."""
+"""Settings of Typer that hold for the program and for each command."""
 
 
 def command_function(name: str) -> Callable[..., Any]:
-    """Function of a command; its module is imported on first use."""
+    """Function of the command `name`; its module is imported here, on first use."""
     function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{COMMANDS[name][0]}"), name)
     return function
 
 
 class SingleValueCommand(TyperCommand):
-    """Command that rejects a repeated option with a single value; Click would silently use the last value."""
+    """Command that rejects a repeated option which takes a single value; Click alone would use the last value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Arguments that remain after the options; raises UsageError."""
+        """Arguments of the command that remain after its options; raises UsageError for a repeated option."""
         given_arguments = list(args)
         try:
             remaining = super().parse_args(ctx, args)
@@ -97,7 +97,7 @@ class SingleValueCommand(TyperCommand):
 
 
 def has_single_value(option: Any) -> bool:
-    """True for an option with a value that may not be repeated."""
+    """True for an option that takes one value, so that it may not be repeated."""
     return not (option.multiple or option.is_flag or option.count)
 
 
@@ -109,7 +109,7 @@ class CommandGroup(TyperGroup):
         self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names of the commands in the order of the help."""
+        """Names of the commands in the order in which the help lists them."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
@@ -121,7 +121,7 @@ class CommandGroup(TyperGroup):
         return typer.main.get_command(command_app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Help with one line per command."""
+        """Section of the help with one line per command, written to `formatter`."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, about) for name, (_, about) in COMMANDS.items()])
 
@@ -130,7 +130,7 @@ app = typer.Typer(cls=CommandGroup, name="ltsim", no_args_is_help=True, **TYPER_
 
 
 def print_version(is_requested: bool) -> None:
-    """Output of the version, after which the program ends."""
+    """Output of the version of ltsim if `is_requested`; the program then ends."""
     if is_requested:
         from importlib.metadata import version
 
@@ -149,10 +149,10 @@ def ltsim(version: VersionOption = False) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Exit status of the command, run with `arguments`.
+    """Exit status of the program after it has run the command given by `arguments`.
 
-    0 done, 1 a check failed, 2 invalid input or usage (one sentence on standard error), 70 an internal error (with a
-    traceback), 130 interrupted.
+    0 success, 1 a check failed, 2 invalid input or usage (one sentence on standard error), 70 internal error (with a
+    traceback), 130 interrupted by the user.
     """
     try:
         with spell_options_as_flags():
@@ -177,16 +177,13 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _report_interruption(remark: str = "no partial file remains") -> int:
-    """Exit status after an interruption; prints `remark`."""
+    """Exit status after an interruption by the user; prints "interrupted" and `remark`."""
     write_line(f"interrupted; {remark}", sys.stderr)
     return INTERRUPTED_STATUS
 
 
 def _report_failure(error: Exception) -> int:
-    """Exit status after an internal error, or after output that cannot be written, such as to a full disk.
-
-    Prints the error.
-    """
+    """Exit status after an internal error or after output that cannot be written (disk full); prints the error."""
     if isinstance(error, OSError) and error.errno in UNWRITABLE_OUTPUT_ERRNOS:
         discard_output(sys.stdout)
         return _report_invalid_input(f"{error.filename or 'the output'} cannot be written ({error.strerror})")
@@ -197,7 +194,7 @@ def _report_failure(error: Exception) -> int:
 
 
 def _usage_error_sentence(error: Any) -> str:
-    """Sentence on wrong usage, with the command that prints help."""
+    """Sentence on wrong usage of a command, with the command that prints its help."""
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "ltsim"
     message = str(error.format_message()).rstrip(".")
@@ -211,7 +208,7 @@ def _report_invalid_input(message: str) -> int:
 
 
 def main() -> None:
-    """Entry point of the installed command."""
+    """Entry point of the installed program `ltsim`."""
     prepare_streams()
     gc.set_threshold(50_000, 10, 10)  # collecting garbage took a tenth of the time of a page
     status = run(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Options that several commands share, and options generated from the parameters of public functions."""
+"""Options that several commands share, and options that are generated from parameters of public functions."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ ControlFileOption = Annotated[
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:
-    """Names from a comma-separated list; None for None."""
+    """Names from a comma-separated list, without repetitions; None if `text` is None."""
     return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
 
 
 def hints_from_texts(
     key_value_texts: list[str] | None, columns: str | None = None, *, is_growing: bool = False
 ) -> Hints:
-    """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
+    """Hints for the interpretation of a file from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
     value_by_key: dict[str, Any] = {}
@@ -113,21 +113,21 @@ def hints_from_texts(
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """Options for reading a recording."""
+    """Options of a command for reading a recording: format, hints, and roles of columns."""
 
     format_name: FormatNameOption = None
     hint: HintsOption = None
     columns: ColumnsOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
-        """Recording at `path`, whose files may still grow; raises RecordError."""
+        """Recording at `path`; `is_growing` permits an incomplete last line. Raises RecordError."""
         from ltsim.recordings import read
 
         hints = hints_from_texts(self.hint, self.columns, is_growing=is_growing)
         return read(path, format=self.format_name, hints=hints)
 
     def read_and_report(self, path: Path, terminal: Terminal) -> Recording:
-        """Recording at `path`, after its notes and its size were printed; raises RecordError."""
+        """Recording at `path`, whose notes and size are printed; raises RecordError."""
         recording = self.read(path)
         terminal.print_notes(recording.notes)
         terminal.print_text(recording.headline)
@@ -136,7 +136,7 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class ReadingOptionsWithControl(ReadingOptions):
-    """Options for reading a recording, with control points."""
+    """Options of a command for reading a recording, with a file of control points."""
 
     control: ControlFileOption = None
 
@@ -152,7 +152,7 @@ class ReadingOptionsWithControl(ReadingOptions):
 
 @dataclass(frozen=True)
 class ReadingOptionsWithFrame(ReadingOptionsWithControl):
-    """Options for reading a recording, with control points and the coordinate frame of the results."""
+    """Options of a command for reading a recording, with control points and the coordinate frame of the results."""
 
     frame: FrameFileOption = None
 
@@ -205,7 +205,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
 
 
 def _output_option_checks(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputKind]]:
-    """Name, flag (or placeholder of an argument) and check of each parameter that names an output."""
+    """Name, flag (placeholder for an argument) and `OutputKind` of each parameter that is an output file or folder."""
     for option in parameters:
         places: list[Any] = [item for item in get_args(option.annotation)[1:] if isinstance(item, OutputKind)]
         if places:
@@ -215,18 +215,20 @@ def _output_option_checks(parameters: list[inspect.Parameter]) -> Iterator[tuple
 
 
 def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    """Keyword-only parameter of a function signature."""
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 PYTHON_ONLY_PARAMETERS = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
-"""Parameters of public functions that are not made into options."""
+"""Parameters of public functions that have no option on the command line."""
 SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
 """Short flag of an option on the command line, by the name of the parameter of the public function."""
-METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
-"""Placeholder of the value of an option in the help, by the name of the parameter of the public function."""
+PLACEHOLDERS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
+"""Placeholder of an option's value in the help, by the name of the parameter of the public function."""
 
 
 def _parse_number(text: str) -> float:
+    """Number from a text; raises ValueError if it is not finite or too large."""
     value = float(text)
     if not abs(value) <= MAX_MAPPING_VALUE_MAGNITUDE:
         raise ValueError
@@ -247,19 +249,19 @@ MAPPING_OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", _parse_toml_value),
     "move": ("STATION=X,Y[,Z[,YAW]]", lambda text: text.split(",")),
 }
-"""Placeholder in the help, and parser of a value, of each option that collects NAME=VALUE pairs, by its name."""
+"""Placeholder in the help, and parser of a value, of each option that collects NAME=VALUE pairs, by parameter name."""
 
 
 @dataclass(frozen=True)
 class FunctionOption:
-    """Parameter of a public function as an option: default from its signature, help from its docstring."""
+    """Option made from a parameter of a public function: default from the signature, help from the docstring."""
 
     name: str
     annotation: str
     default: Any
     help: str
     docstring_type: str
-    """Type in the docstring, which may list choices."""
+    """Type of the parameter in the docstring, which may list the permitted values."""
 
     @property
     def choices(self) -> list[str]:
@@ -268,25 +270,25 @@ class FunctionOption:
 
     @property
     def flag(self) -> str:
-        """Flag on the command line: `--noise-from-data`."""
+        """Flag on the command line, such as `--noise-from-data`."""
         return FLAG_SPELLINGS.get(self.name, "--" + self.name.replace("_", "-"))
 
     @property
     def is_repeatable(self) -> bool:
-        """True if the option can be repeated."""
+        """True if the option may be given several times."""
         return self.name in MAPPING_OPTIONS or "Effect" in self.annotation or self.annotation.startswith("Sequence")
 
     @property
     def is_name_list(self) -> bool:
-        """True if the option takes a comma-separated list of names."""
+        """True if the value of the option is a comma-separated list of names."""
         return not self.is_repeatable and "Sequence[str]" in self.annotation
 
     @property
     def typer_parameter(self) -> inspect.Parameter:
-        """Parameter of the command function from which Typer makes the option."""
+        """Parameter of the command's function, from which Typer makes the option."""
         flags = [self.flag, *([SHORT_FLAGS[self.name]] if self.name in SHORT_FLAGS else [])]
         kind: Any = float if "float" in self.annotation else int if "int" in self.annotation else str
-        metavar = MAPPING_OPTIONS[self.name][0] if self.name in MAPPING_OPTIONS else METAVARIABLES.get(self.name)
+        metavar = MAPPING_OPTIONS[self.name][0] if self.name in MAPPING_OPTIONS else PLACEHOLDERS.get(self.name)
         if self.annotation.startswith("bool"):
             kind = bool
             flags = flags if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
@@ -307,7 +309,7 @@ class FunctionOption:
         return _keyword_parameter(self.name, Annotated[kind, option], default)
 
     def argument_value(self, command_line_value: Any) -> Any:
-        """Argument of the function from the value on the command line; raises InputError for an invalid value."""
+        """Argument of the public function from the value on the command line; raises InputError if it is invalid."""
         if command_line_value is None or command_line_value == []:
             return self.default
         if self.choices:
@@ -319,6 +321,7 @@ class FunctionOption:
         return tuple(command_line_value) if self.is_repeatable else command_line_value
 
     def _parse_pair(self, text: str) -> tuple[str, Any]:
+        """Name and parsed value from a text NAME=VALUE; raises InputError if it is not valid."""
         _, parse = MAPPING_OPTIONS[self.name]
         key, _, value = (part.strip() for part in text.partition("="))
         with suppress(ValueError):
@@ -328,10 +331,7 @@ class FunctionOption:
 
 
 def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:
-    """Options for the keyword parameters of a public function; only for `parameter_names` unless they are empty.
-
-    The source is parsed, not imported, so that help is fast.
-    """
+    """Options for keyword parameters of a public function, from its parsed source; all without `parameter_names`."""
     tree = _module_syntax_tree(lt._MODULE_BY_PUBLIC_NAME[function_name])
     node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function_name)
     meanings = dict(_documented_parameters(inspect.cleandoc(ast.get_docstring(node) or "")))
@@ -354,12 +354,12 @@ def function_options(function_name: str, parameter_names: list[str]) -> list[Fun
 
 
 def _module_syntax_tree(module: str) -> ast.Module:
-    """Syntax tree of a module of ltsim, named without the package."""
+    """Syntax tree of a module of ltsim; `module` is its name without the package, such as `core.units`."""
     return ast.parse((Path(lt.__file__).parent / f"{module.replace('.', '/')}.py").read_text("utf-8"))
 
 
 def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
-    """Syntax tree of the value of a constant that a module of ltsim defines or imports; None without the constant."""
+    """Syntax tree of the value of a constant that a module of ltsim defines or imports; None if there is none."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return node.value
@@ -369,7 +369,7 @@ def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
 
 
 def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Name of each parameter in the section `Parameters` of a docstring, with its type and its description."""
+    """Name of each parameter in the section `Parameters` of a docstring, with its type and description."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
     parameter_texts = re.split(r"\n(?=\S)", section[1]) if section else []
     for entry in parameter_texts:
@@ -380,7 +380,7 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
 
 
 def with_datum_in_frame(recording: Recording, frame: Path) -> Recording:
-    """Recording with its datum in the frame of a file or of a built-in scenario; raises RecordError, InputError."""
+    """Recording whose datum is in the frame of a file or of a built-in scenario; raises RecordError or InputError."""
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

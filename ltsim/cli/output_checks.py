@@ -1,11 +1,11 @@
-"""Output files and folders, checked before a command begins: write permission, and files that would be replaced.
+"""Checks of output files and folders before a command begins: write permission, and files that would be replaced.
 
 Without --force a command writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
 files of the same command. An existing recording, or a file that ltsim did not write, is never replaced by other
-content; it stays unchanged if it already has the content to be written (`write_outputs`).
+content. It stays unchanged if it already has the content to be written (`write_outputs`).
 
-An option or argument for an output has an `OutputKind` in its annotation; `typer_command` calls the check of the
-`OutputKind` before the command.
+An option or argument that names an output has an `OutputKind` in its annotation; `typer_command` calls the check of
+this `OutputKind` before the command.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace existing files, also those that this command did not write.")
 ]
 PAGE_GENERATOR_TAG = '<meta name="generator" content="ltsim'
-"""Text by which a page written by ltsim is recognised."""
-MAX_SEARCHED_BYTES = 4096
-"""Number of bytes at the beginning of a file that are searched for the text by which ltsim recognises its files."""
+"""HTML text by which a page written by ltsim is recognised."""
+N_BYTES_SEARCHED_FOR_FORMAT = 4096
+"""Number of bytes at the beginning of a file in which the text that identifies files of ltsim is searched."""
 LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(PAGE_GENERATOR_TAG)}')
-"""Pattern at the beginning of a file of ltsim, written by a command or by a user."""
+"""Regular expression for the beginning of a file in a format of ltsim, written by a command or by a user."""
 
 
 @dataclass(frozen=True)
 class OutputKind:
-    """Kind of output file or folder, as an annotation of an option or argument, with the check before it is written."""
+    """Kind of output file or folder, in the annotation of an option or argument, with the check before writing."""
 
     check: Callable[[Path, bool], None]
-    """Function (path, force) that raises RecordError if the output cannot be written or, without `force`, would replace
-    another file."""
+    """Function of a path and of `force`. It raises RecordError if the output cannot be written or, without `force`,
+    would replace another file."""
 
 
 def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: bool) -> None:
-    """Check of outputs, each given by its option, path and `OutputKind`.
+    """Check of the outputs of a command, each given by its option, path and `OutputKind`.
 
     Raises RecordError if a check fails, and InputError if two options have the same path.
     """
@@ -76,7 +76,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: boo
 
 
 def _result_file_names() -> set[str]:
-    """Names of the result files whose name is fixed; a file of true values has the name that the user gives."""
+    """Names of all result files with a fixed name, and of their tables; a file of true values has no fixed name."""
     from ltsim.recordings.native import OBSERVATIONS_FILE
     from ltsim.reports.schemas import COMPANION_TABLES, MODEL_BY_FILE_NAME
 
@@ -93,11 +93,11 @@ def check_overwrite(
     force: bool,
     is_of_same_command: Callable[[Any], bool] = lambda result: True,
 ) -> None:
-    """Check that a result and its companion files replace only an older result of the same command; raises RecordError.
+    """Check that a result and its companion files replace only an older result of the same command.
 
-    The folder (None for no output) must be new, empty or contain only folders and files written by ltsim; `force`
-    permits any content. `is_of_same_command` returns True for an existing result of this command, if several commands
-    write the same file.
+    Raises RecordError. `model` is the class of the result, `names` are those of the companion files. The folder (None
+    for no output) must be new, empty or contain only folders and files written by ltsim; `force` permits any content.
+    If several commands write the same file, `is_of_same_command` returns True for an existing result of this command.
     """
     if folder is None:
         return
@@ -112,7 +112,7 @@ def check_overwrite(
 def _is_replaceable(
     folder: Path, model: type[ResultFile], existing_names: list[str], is_of_same_command: Callable[[Any], bool]
 ) -> bool:
-    """True if this command wrote all existing files and none of them was changed since."""
+    """True if this command wrote all existing files and none of them has been changed since."""
     from ltsim.recordings.result_file import read_result
 
     try:
@@ -126,7 +126,7 @@ def _is_replaceable(
 
 
 def _existing_file_names(folder: Path, names: Iterable[str]) -> list[str]:
-    """Names of existing files; raises RecordError if one cannot be written.
+    """Names of the existing files among `names` in a folder; raises RecordError if one of these files is not writable.
 
     Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
@@ -138,7 +138,10 @@ def _existing_file_names(folder: Path, names: Iterable[str]) -> list[str]:
 
 
 def check_recording_folder(folder: Path, force: bool) -> None:
-    """Check that a recording neither replaces another one nor is written among other files; raises RecordError."""
+    """Check that a new recording neither replaces another one nor is written among files of other programs.
+
+    Raises RecordError.
+    """
     from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
     existing_names = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
@@ -153,7 +156,7 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
     """Return values of the functions in `outputs`; each function writes a recording or file to its path.
 
     An existing recording or file stays if it has the same content, and is replaced only with `force`. If an existing
-    one has another content, nothing is written and RecordError is raised.
+    one has other content, nothing is written and RecordError is raised.
     """
     same_contents = {} if force else {path: _unchanged_output(path, write) for path, write in outputs.items()}
     return [
@@ -163,7 +166,7 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
 
 
 class _UnchangedOutput(NamedTuple):
-    """Marker for an output that exists already with the content to be written, so that nothing is written."""
+    """Marker for an output that exists already with the content to be written, so that it is not written again."""
 
     returned_value: Any
     """Value that the writing function returned."""
@@ -172,7 +175,7 @@ class _UnchangedOutput(NamedTuple):
 def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOutput | None:
     """Marker with the return value of `write` if the output exists with the same content; None for a new output.
 
-    RecordError is raised if the output exists with another content.
+    Raises RecordError if the output exists with other content.
     """
     if not os.path.lexists(path) or is_device(path):
         return None
@@ -201,7 +204,7 @@ def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOut
 
 
 def check_empty_folder(folder: Path, force: bool) -> None:
-    """Check that the folder is new or empty; raises RecordError."""
+    """Check that a folder is new or empty, or that `force` is given; raises RecordError."""
     check_writable(folder, is_folder=True)
     if folder.is_dir() and not force:
         existing_names = sorted(p.name for p in folder.iterdir())
@@ -210,7 +213,7 @@ def check_empty_folder(folder: Path, force: bool) -> None:
 
 
 def check_new_file(file: Path, force: bool) -> None:
-    """Check that a file does not exist, except for a page or an unmodified XML file written by ltsim.
+    """Check that a file does not exist yet; a page or an unmodified XML file written by ltsim may exist.
 
     Raises RecordError.
     """
@@ -221,13 +224,16 @@ def check_new_file(file: Path, force: bool) -> None:
         return
     if file.is_file() and file.suffix == ".html":
         with open_for_reading(file) as stream:
-            if PAGE_GENERATOR_TAG.encode() in stream.read(MAX_SEARCHED_BYTES):
+            if PAGE_GENERATOR_TAG.encode() in stream.read(N_BYTES_SEARCHED_FOR_FORMAT):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
 
 
-def check_compared_file(file: Path, force: bool) -> None:
-    """Check that a file can be written, and read if it exists, for `write_outputs`; raises RecordError."""
+def check_file_for_comparison(file: Path, force: bool) -> None:
+    """Check that a file can be written and is not a broken link; raises RecordError.
+
+    `write_outputs` compares its content later.
+    """
     check_writable(file, is_folder=False)
     if os.path.lexists(file) and not file.exists() and not force:
         raise RecordError("is a link that leads nowhere; choose another name, or replace it with --force", file=file)
@@ -257,7 +263,7 @@ def _result_and_companion_names(file: Path) -> set[str]:
 
     try:
         with open_for_reading(file) as stream:
-            if not LTSIM_FILE_PATTERN.search(stream.read(MAX_SEARCHED_BYTES).decode("latin-1")):
+            if not LTSIM_FILE_PATTERN.search(stream.read(N_BYTES_SEARCHED_FOR_FORMAT).decode("latin-1")):
                 return set()
         companions = read_json(file, "result").get("files") if file.suffix == ".json" else None
     except (OSError, RecordError):
@@ -266,6 +272,7 @@ def _result_and_companion_names(file: Path) -> set[str]:
 
 
 def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
+    """RecordError on files in a folder that a command would replace although it did not write them."""
     raise RecordError(
         f"the folder contains {names_text(existing_names, 3)}, which this command did not write or which was changed "
         "since; choose another folder, or use --force",
@@ -273,16 +280,16 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
     )
 
 
-COMPARED_FILE_OUTPUT = OutputKind(check_compared_file)
+COMPARED_FILE_OUTPUT = OutputKind(check_file_for_comparison)
 """Kind of output file whose content `write_outputs` compares with an existing file."""
-FILE_OUTPUT = OutputKind(check_new_file)
+NEW_FILE_OUTPUT = OutputKind(check_new_file)
 """Kind of output file that must be new, or replace a page or an unmodified XML file of ltsim."""
 RECORDING_OUTPUT = OutputKind(check_recording_folder)
 """Kind of output folder for a recording, which must not contain files of other programs."""
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Kind of output folder that must be new or empty."""
 RESULT_FOLDER_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
-"""Kind of output folder of which only write permission is checked; the command checks the files that it would replace.
+"""Kind of output folder for which only write permission is checked here; the command checks the files to be replaced.
 """
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
 """Kind of output that is a file or a folder, depending on other options; only write permission is checked."""

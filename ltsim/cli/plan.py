@@ -1,4 +1,4 @@
-"""Command `plan`: layouts of stations and reflectors, and the next measurement."""
+"""Command `plan`: search for layouts of stations and reflectors, and proposals for the next measurement."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ PlanFolderOption = Annotated[
 ]
 ShowPlanOption = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
 RecordingToExtendOption = Annotated[
-    Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
+    Path | None, typer.Option("--after", metavar="REC", help="Rank additional measurements after this recording.")
 ]
 ComparedEffectsOption = Annotated[
     str | None,
     typer.Option(
         "--between",
         metavar="A,B",
-        help="With --after: effects to separate; default: the ones that a diagnosis of REC cannot separate.",
+        help="With --after: effects to distinguish; default: those that a diagnosis of REC cannot distinguish.",
     ),
 ]
 SitePlanOption = Annotated[
@@ -58,13 +58,13 @@ BlockedStationOption = Annotated[
     ),
 ]
 BEST_LAYOUT_SO_FAR_FILE = "best-so-far.toml"
-"""Name of the scenario file with the best layout so far, which exists only during a search."""
+"""Name of the scenario file with the best layout so far, which exists only while a search runs."""
 FLOOR_PLAN_FILE = "floor.png"
-"""Name of the picture of the floor plan."""
+"""Name of the picture file with the floor plan."""
 TRADE_OFF_FILE = "tradeoff.png"
-"""Name of the picture of quality over duration."""
+"""Name of the picture file with the trade-off curve of quality over duration."""
 WORK_ORDER_FILE = "work-order.html"
-"""Name of the page of the work order."""
+"""Name of the HTML file with the work order for the shop floor."""
 
 
 def plan(
@@ -92,7 +92,7 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
-    from ltsim.planning.loading import plan_names, plan_text
+    from ltsim.planning.loading import builtin_plan_names, builtin_plan_text
     from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
     from ltsim.planning.result import Plan
     from ltsim.planning.tables import PLAN_TABLES
@@ -103,13 +103,13 @@ def plan(
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
         return _propose_next_measurement(terminal, reading_options.read(after), _effect_names(between), site, out)
     if between is not None:
-        raise InputError("--between needs --after REC, the recording that has several explanations")
+        raise InputError("--between needs --after REC, the recording that several effects explain")
     if site is not None:
         raise InputError("--site needs --after REC, the recording to which a station is added")
     if source is None:
-        raise InputError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
+        raise InputError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(builtin_plan_names())})")
     if show:
-        terminal.print_always(plan_text(source))
+        terminal.print_always(builtin_plan_text(source))
         return None
     moved_stations = options.pop("move")
     if without is not None and (moved_stations or out is not None):
@@ -135,7 +135,10 @@ def plan(
 
 
 def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
-    """Output of other positions for a station, and of the command that uses the best of them."""
+    """Output of other positions for a station, and of the command that moves the station to the best of them.
+
+    `source` is the plan of which the station is a part.
+    """
     terminal.print_json(
         [
             {
@@ -152,18 +155,21 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
     places = [alternative for alternative in alternatives if alternative.move_option]
     if not places:
         terminal.print_text(
-            "No other position is permitted for this station; enlarge the floor area, or search with one station less."
+            "No other position is permitted for this station; enlarge the floor, or search with one station less."
         )
         return
     out = Path(f"{Path(source).stem}-moved")
     command = shlex.join(["ltsim", "plan", source, "--move", places[0].move_option, "--out", str(out)])
-    terminal.print_text(f"To take the best of these positions: {command}")
+    terminal.print_text(f"To plan with the best of these positions: {command}")
 
 
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
-    """Plan from a search for a layout; during the search the best layout so far is printed and written."""
+    """Plan from a search for a layout; during the search each better layout is printed and written to `folder`.
+
+    `search_options` are keyword arguments of `lt.plan`.
+    """
     from ltsim.planning.plan_search import SearchCallbacks
-    from ltsim.planning.result import load_plan_and_scenario, with_cad_file_copies, with_layout
+    from ltsim.planning.result import load_plan_and_scenario, scenario_with_layout, with_cad_file_copies
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
@@ -174,7 +180,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
     def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored_scenario, cad_files = with_cad_file_copies(with_layout(scenario, survey))
+            stored_scenario, cad_files = with_cad_file_copies(scenario_with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad_files, BEST_LAYOUT_SO_FAR_FILE: scenario_to_toml(stored_scenario)})
             except RecordError as problem:
@@ -192,7 +198,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
 
 def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | None) -> None:
-    """Output of a plan on the terminal and, if a folder is given, as files with tables and pictures."""
+    """Output of a plan on the terminal and, if a folder is given, as files with tables, pictures and work order."""
     from ltsim.planning.result import write_plan
 
     with terminal.show_progress("writing tables, pictures and the work order"):
@@ -206,11 +212,11 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
             f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}"
         )
     else:
-        terminal.print_text("\nThe layout was evaluated only, and no file was written; --out DIR writes this plan.")
+        terminal.print_text("\nNo file was written; --out DIR writes this plan.")
 
 
 def _picture_files(plan_result: Plan) -> dict[str, bytes]:
-    """Contents of the files with pictures, by name: work order, floor plan, trade-off of duration and quality."""
+    """Contents of the work order page and of the pictures (floor plan, trade-off curve), by file name."""
     from ltsim.reports.figures.parameters import trade_off_figure
     from ltsim.reports.style import png_bytes
     from ltsim.reports.work_order_page import work_order_page
@@ -227,7 +233,10 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
 
 
 def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, float], None]:
-    """Callback (task, fraction) that moves a progress bar of 100 steps to a completed fraction, 0 to 1."""
+    """Callback (task, fraction) that advances a progress bar of 100 steps to the finished fraction (0 to 1).
+
+    `advance_bar` advances the bar by a number of steps.
+    """
     done_percent = 0
 
     def advance_to(_task: str, fraction: float) -> None:
@@ -239,7 +248,7 @@ def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, floa
 
 
 def _effect_names(effect_list: str | None) -> tuple[str, ...]:
-    """Names of effects from a comma-separated list; raises InputError for fewer than two different names."""
+    """Names of effects from a comma-separated list; raises InputError for fewer than two or repeated names."""
     if effect_list is None:
         return ()
     names = tuple(name.strip() for name in effect_list.split(","))
@@ -257,7 +266,7 @@ def _propose_next_measurement(
     site: str | None,
     result_folder: Path | None,
 ) -> None:
-    """Output of measurements that separate the given effects, by default those that a diagnosis cannot separate."""
+    """Output of measurements that distinguish the named effects, or else those that a diagnosis cannot distinguish."""
     from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
     from ltsim.recordings.result_file import write_result
 
@@ -270,7 +279,7 @@ def _propose_next_measurement(
         summary = diagnosis.summary
         terminal.print_text(summary)
         effect_names, modelled_effects = explanations_of_ambiguous_finding(diagnosis)
-    with terminal.show_progress("trying further measurements", 200) as advance:
+    with terminal.show_progress("evaluating additional measurements", 200) as advance:
         callback_by_task: dict[str, Any] = {}
         content = lt.next_measurement(
             recording,

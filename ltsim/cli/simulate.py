@@ -1,4 +1,4 @@
-"""Commands `simulate`, `inject` and `demo`: a simulated recording, an injected effect, and a demonstration."""
+"""Commands `simulate`, `inject` and `demo`: simulated recording, injected effect, demonstration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
     RECORDING_OUTPUT,
     RESULT_FOLDER_OUTPUT,
     ForceOption,
@@ -121,11 +121,11 @@ def simulate(
     terminal.print_notes(recording.notes)
     terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
     terminal.print_text(recording.headline)
-    terminal.print_text(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
+    terminal.print_text(f"written to {out}" + (f", true values to {truth}" if truth else ""))
 
 
 def _complete_scenario_text(scenario: str) -> str:
-    """Text of a scenario with all keys: a built-in commented file unchanged, other files with added defaults."""
+    """Text of a scenario with all keys: the commented file of a built-in one, other files with defaults added."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text
@@ -146,7 +146,7 @@ def inject(
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
-    """Add the changes that faults cause to the readings of a recording, by the exact model; nothing else changes.
+    """Add the effects of faults to the readings of a recording, by the exact model; noise and outliers stay.
 
     Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
     """
@@ -188,7 +188,11 @@ def inject(
 def _run_injection_curve(
     terminal: Terminal, recording: Recording, effect_specification: str, file: Path | None, options: dict[str, Any]
 ) -> None:
-    """Detection curve of one effect, printed and, if a file is given, written as CSV."""
+    """Output of the detection curve of one effect: printed and, if a file is given, written as CSV.
+
+    `effect_specification` is the text of the effect on the command line, `options` are keyword arguments of
+    `lt.injection_curve`.
+    """
     with terminal.show_progress("injecting and diagnosing"):
         detection_curve = lt.injection_curve(recording, effect_specification, **options)
     table = detection_curve.table()
@@ -208,7 +212,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects of which the demonstration injects a random one: at one station an SMR of another radius is used."""
+"""Effects for the demonstration, which injects one of them at random: an SMR of another radius at one station."""
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""
@@ -225,7 +229,7 @@ name = "network"
 name = "distance"
 method = "distance"
 """
-"""Campaign file of the demonstration, with a format field for the seed."""
+"""Content of the campaign file of the demonstration, with a replacement field for the seed."""
 
 
 def demo(
@@ -256,7 +260,7 @@ def demo(
 
 
 def simulate_workshop(demo_folder: Path, seed: int) -> str:
-    """Simulate a recording of the paper's workshop, write it with its true values, and return a text on its size."""
+    """Text on the size of a simulated recording of the paper's workshop, which is written with its true values."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, demo_folder / "workshop" / "recording")
     lt.write(truth, demo_folder / "workshop" / "truth.json")
@@ -267,7 +271,7 @@ def simulate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def calibrate_workshop(demo_folder: Path, seed: int) -> str:
-    """Calibrate the recording of `simulate_workshop`, write the result, and return its summary."""
+    """Summary of the calibration from the recording of `simulate_workshop`, which is written to a file."""
     from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
@@ -277,7 +281,7 @@ def calibrate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
-    """Inject an effect into a second recording, diagnose this recording, and return a text on effect and diagnosis."""
+    """Text on an effect that is injected into a second recording, and on the diagnosis of this recording."""
     from ltsim.core.randomness import random_stream
     from ltsim.physics.effects import effect_title
 
@@ -291,7 +295,7 @@ def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
 
 
 def run_demo_campaign(demo_folder: Path, seed: int) -> str:
-    """Run a campaign that calibrates 500 drawn instruments with two methods, and return its summary.
+    """Summary of a campaign that calibrates 500 simulated instruments with two methods.
 
     The methods are the network adjustment and the paper's method of distances between reflectors.
     """
@@ -304,7 +308,7 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
 
 
 def write_demo_page(demo_folder: Path, seed: int) -> str:
-    """Write one report page about all results of the demonstration, and return a text with its path."""
+    """Text with the path of the report page about all results of the demonstration, which is written here."""
     return f"open {lt.report(demo_folder, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
 
 
@@ -315,14 +319,14 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
     "inject a fault into another recording, and diagnose this recording": diagnose_injected_effect,
     "write one page about all results": write_demo_page,
 }
-"""Steps of the demonstration in order: title, and function (folder, seed) that returns a text on the outcome."""
+"""Steps of the demonstration in order: title, and function of folder and seed that returns a text on the outcome."""
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
-    "workshop/truth.json": FILE_OUTPUT,
+    "workshop/truth.json": NEW_FILE_OUTPUT,
     "concealed": RESULT_FOLDER_OUTPUT,
-    "concealed/truth.json": FILE_OUTPUT,
-    "campaign.toml": FILE_OUTPUT,
+    "concealed/truth.json": NEW_FILE_OUTPUT,
+    "campaign.toml": NEW_FILE_OUTPUT,
     "campaign": RESULT_FOLDER_OUTPUT,
-    "report.html": FILE_OUTPUT,
+    "report.html": NEW_FILE_OUTPUT,
 }
-"""Output files and folders of the steps with the rules by which they are checked before the first step."""
+"""Kind of each output file or folder of the demonstration, by path; all are checked before the first step."""

@@ -1,4 +1,4 @@
-"""Terminal output of a command: text, JSON, progress; standard streams that may be closed, full or without reader."""
+"""Terminal output of a command: text, JSON, progress; standard streams that are closed, full, or without reader."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
 _STREAMS_CLOSED_AT_START: set[int] = set()
-"""File descriptors of the standard streams that were closed when the process started."""
+"""File descriptors (0 to 2) of the standard streams that were closed when the process started."""
 _DISCARDED_STREAMS: set[int] = set()
-"""File descriptors of the standard streams whose further output is discarded."""
+"""File descriptors of the standard streams whose further output is discarded, because nothing can be written."""
 
 
 def prepare_streams() -> None:
@@ -59,13 +59,13 @@ def is_reader_gone() -> bool:
 
 
 def write_line(text: str, stream: IO[str]) -> None:
-    """Output of a line whose control characters are replaced; raises OSError if standard output cannot be written."""
+    """Output of a line of text with control characters escaped; raises OSError if standard output is not writable."""
     with _discard_if_unwritable(stream):
         print(as_printable(text), file=stream)
 
 
 def flush_streams() -> None:
-    """Flush of both streams; raises OSError if standard output cannot be written."""
+    """Flush of standard output and standard error; raises OSError if standard output cannot be written."""
     for stream in (sys.stdout, sys.stderr):
         with _discard_if_unwritable(stream):
             stream.flush()
@@ -86,7 +86,7 @@ def _discard_if_unwritable(stream: IO[str]) -> Iterator[None]:
 
 
 def discard_output(stream: IO[str]) -> None:
-    """Redirection of a stream to the null device, so that Python does not fail at exit."""
+    """Redirection of a stream to the null device, so that a flush at the end of the program does not fail."""
     _DISCARDED_STREAMS.add(stream.fileno())
     null_device = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null_device, stream.fileno())
@@ -94,17 +94,20 @@ def discard_output(stream: IO[str]) -> None:
 
 
 ResultFileType = TypeVar("ResultFileType", bound="ResultFile")
-PROGRESS_DELAY_S = 10.0
-"""Time [s] from the start of a task to the first printed line of progress, if standard error is no terminal."""
+"""Class of the result that is written."""
+FIRST_PROGRESS_DELAY_S = 10.0
+"""Time [s] from the start of a task to its first printed line of progress, if standard error is not a terminal."""
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Output of one command on the terminal: text or JSON on standard output, notes and progress on standard error."""
+    """Output of a command: text or JSON on standard output, notes and progress on standard error."""
 
     quiet: QuietOption = False
+    """True if only errors are printed (`--quiet`)."""
     as_json: Annotated[bool, typer.Option("--json", help="Print only the result, as JSON.")] = False
+    """True if only the result is printed, as JSON (`--json`)."""
 
     @property
     def is_silent(self) -> bool:
@@ -112,28 +115,28 @@ class Terminal:
         return self.quiet or self.as_json
 
     def print_text(self, text: str = "") -> None:
-        """Output of a line of text on standard output; nothing is printed with `--quiet` or `--json`."""
+        """Output of a line of text on standard output, except with `--quiet` or `--json`."""
         if not self.is_silent:
             write_line(text, sys.stdout)
 
     def print_always(self, text: str) -> None:
-        """Output of a text that was requested, such as a template or an address; it is printed also with `--quiet`."""
+        """Output of a text that the user requested (a template, an address), also with `--quiet`."""
         write_line(text.removesuffix("\n"), sys.stdout)
 
     def print_unbuffered(self, text: str, *, rings_bell: bool = False) -> None:
-        """Unbuffered output of a line, optionally with a bell on a terminal."""
+        """Output of a line that appears at once, with a bell on a terminal if `rings_bell`."""
         if rings_bell and not self.is_silent and sys.stdout.isatty():
             print("\a", end="")
         self.print_text(text)
         flush_streams()
 
     def print_note(self, text: str) -> None:
-        """Output of a note on standard error."""
+        """Output of a note on standard error, except with `--quiet`."""
         if not self.quiet:
             write_line(text, sys.stderr)
 
     def print_note_on_compilation(self) -> None:
-        """Output of a note on the compilation time of the campaign solver, if the solver is not compiled yet."""
+        """Output of a note that the campaign solver will be compiled first, if it is not compiled yet."""
         from ltsim.campaigns.kernels import is_compiled  # slow to import
 
         if not is_compiled():
@@ -145,7 +148,7 @@ class Terminal:
             self.print_note(f"note: {note}")
 
     def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """Output of a result as JSON, or as the text of the section that the report page has for the result."""
+        """Output of a result as JSON, or as the text of its section of the report page; then its notes and folder."""
         self.print_json(content.content())
         if not self.is_silent:
             from ltsim.reports.sections import result_section  # slow to import
@@ -155,18 +158,21 @@ class Terminal:
         self.print_folder(result_folder)
 
     def print_folder(self, result_folder: Path | None) -> None:
-        """Output of the result folder and of the command that displays it."""
+        """Output of the path of the result folder, and of the command that makes a report page from it."""
         if result_folder is not None:
             self.print_text(f"\nwritten to {result_folder}; for a page with pictures: ltsim report {result_folder}")
 
     def print_json(self, content: Any) -> None:
-        """Output of the result as JSON, if requested."""
+        """Output of the result as JSON, if `--json` is given."""
         if self.as_json:
             write_line(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
     @contextmanager
     def show_progress(self, task_text: str, n_steps: int | None = None) -> Iterator[Callable[[int], None]]:
-        """Progress bar on standard error, or occasional lines in a pipe; yields a function that counts steps."""
+        """Progress bar on a terminal, or occasional lines in a pipe; yields a function that counts finished steps.
+
+        `n_steps` is the number of steps; None if it is unknown.
+        """
         if self.quiet or not sys.stderr.isatty():
             n_done_steps = [0]
             with self._print_progress_lines(
@@ -185,14 +191,14 @@ class Terminal:
 
     @contextmanager
     def _print_progress_lines(self, get_progress_text: Callable[[], str]) -> Iterator[None]:
-        """Lines of progress on standard error, first after `PROGRESS_DELAY_S`, then in doubling intervals."""
+        """Lines of progress on standard error, the first after `FIRST_PROGRESS_DELAY_S`, then in doubling intervals."""
         if self.quiet:
             yield
             return
         start_time, is_finished = time.monotonic(), threading.Event()
 
         def print_lines() -> None:
-            wait_s = PROGRESS_DELAY_S
+            wait_s = FIRST_PROGRESS_DELAY_S
             while not is_finished.wait(wait_s):
                 wait_s = time.monotonic() - start_time
                 self.print_note(f"{get_progress_text()} ({wait_s:.0f} s)")
@@ -209,14 +215,16 @@ class Terminal:
 
 @dataclass(frozen=True)
 class ResultFolderTerminal(Terminal):
-    """Terminal of a command that writes its results to a folder."""
+    """Terminal of a command with options `--out` and `--force`, which writes its result to a folder."""
 
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write the results to."),
         RESULT_FOLDER_OUTPUT,
     ] = None
+    """Folder to which the result is written; None if no folder was given."""
     force: ForceOption = False
+    """True if existing files may be replaced (`--force`)."""
 
     def check_overwrite(
         self,
@@ -226,19 +234,23 @@ class ResultFolderTerminal(Terminal):
     ) -> None:
         """Check that a result and its companion files would replace only older results of the same command.
 
-        `is_of_same_command` returns True for an existing result of this command, if several commands write the same
-        kind of file. Raises RecordError.
+        `model` is the class of the result. If several commands write the same kind of file, `is_of_same_command`
+        returns True for an existing result of this command. Raises RecordError.
         """
         check_overwrite(self.out, model, companion_names, force=self.force, is_of_same_command=is_of_same_command)
 
     def write_result(
         self, content: ResultFileType, companion_contents: Callable[[], Mapping[str, str | bytes]] = dict
     ) -> ResultFileType:
-        """Result with the digests of its companion files, which were written; unchanged if no folder was given."""
+        """Result that contains the digests of its companion files, after all were written to the folder of `--out`.
+
+        Without a folder it is the given result. `companion_contents` returns the contents of the companion files by
+        name.
+        """
         from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, companion_contents())
 
     def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """Output of a result and of the folder to which it was written."""
+        """Output of a result, and of the folder to which it was written."""
         super().print_result(content, result_folder or self.out, notes)

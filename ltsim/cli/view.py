@@ -1,4 +1,4 @@
-"""Commands `view` and `report`: the hall in 3D, and the page about results."""
+"""Commands `view` and `report`: the hall in 3D, and a page about results."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 import ltsim as lt
 from ltsim.cli.options import ReadingOptionsWithFrame
-from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
+from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import InputError, RecordError, require_extra
 from ltsim.recordings.settings import validation_sentence
@@ -19,7 +19,7 @@ from ltsim.recordings.setup import ReportHeader
 
 
 def check_page_folder(folder: Path, force: bool) -> None:
-    """Check that the page of a folder would not replace a file that is not a page of ltsim; raises RecordError."""
+    """Check that the report page of a folder replaces no file other than a page of ltsim; raises RecordError."""
     from ltsim.reports.page import PAGE_FILE  # slow to import
 
     check_new_file(folder / PAGE_FILE, force)
@@ -43,12 +43,12 @@ PortOption = Annotated[
     int, typer.Option("--port", min=0, max=65535, help="With --plan: port of the page; 0 for any free port.")
 ]
 PictureFileOption = Annotated[
-    Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), FILE_OUTPUT
+    Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), NEW_FILE_OUTPUT
 ]
 PageFileOption = Annotated[
     Path | None,
     typer.Option("--html", metavar="FILE", help="Write an interactive page for a browser, which works offline."),
-    FILE_OUTPUT,
+    NEW_FILE_OUTPUT,
 ]
 ReportFolderArgument = Annotated[
     Path,
@@ -113,12 +113,12 @@ def view(
 
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
-    """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
-    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, with_cad_file_copies
+    """Server of the page on which the user moves the stations of a plan, until Ctrl-C."""
+    from ltsim.planning.result import PLAN_FILE_NAME, SCENARIO_FILE_NAME, with_cad_file_copies
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
-    for name in (SCENARIO_FILE, PLAN_FILE):
+    for name in (SCENARIO_FILE_NAME, PLAN_FILE_NAME):
         check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
         requests = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
@@ -136,6 +136,7 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
 
 
 def _has_display() -> bool:
+    """True if a window can be opened on this computer."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -167,7 +168,7 @@ def report(
 
 
 def _page_header(**header_values: str | None) -> ReportHeader:
-    """Header of the page from the options; raises InputError."""
+    """Header of the report page from the values of the options; raises InputError for an invalid value."""
     try:
         return ReportHeader.model_validate(header_values)
     except ValidationError as problem:

@@ -1,1 +1,1 @@
-"""Measurands: lengths, features and poses from adjusted points, with uncertainty (GUM, Monte Carlo) and conformity."""
+"""Measurands (lengths, features, poses) from adjusted points, with uncertainty (GUM, Monte Carlo) and conformity."""

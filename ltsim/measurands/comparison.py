@@ -1,4 +1,6 @@
-"""Comparison of two epochs: congruence test, displaced points, comparison.json and displacements.csv.
+"""Comparison of two epochs (measurements of the same points at different times) by a congruence test.
+
+The result is written to comparison.json and displacements.csv.
 
 References
 ----------
@@ -31,46 +33,50 @@ DISPLACEMENTS_TABLE = Table(
     "displacements.csv",
     "displacement of each common point from the first epoch to the second",
     (
-        Column("target", "name", "text"),
+        Column("target", "name of the target", "text"),
         Column("moved", "True if the point moved", "flag"),
-        *number_columns(".4f", x_mm="coordinate in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
-        *(Column(f"d{a}_um", "displacement, second minus first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
+        *number_columns(".4f", **{f"{a}_mm": f"{a} coordinate in the first epoch" for a in "xyz"}),
+        *(Column(f"d{a}_um", f"displacement along {a}, second minus first", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
-        *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column(
-            "p_value", "p-value of the hypothesis of no displacement, corrected for the number of points", "p_value"
+        *number_columns("", ".1f", a_um="longest semi-axis of the 95 % confidence ellipsoid"),
+        *number_columns(
+            "", ".1f", b_um="middle semi-axis of the ellipsoid", c_um="shortest semi-axis of the ellipsoid"
         ),
-        *number_columns("", ".0f", detectable_um="displacement detected in any direction with a probability of 80 %"),
+        Column("p_value", "p-value of the hypothesis that this point did not move, corrected for all tests", "p_value"),
+        *number_columns(
+            "", ".0f", detectable_um="displacement that is detected in any direction with 80 % probability"
+        ),
     ),
 )
+"""Table displacements.csv: displacement of each point between two epochs, with its test."""
 
 
 class Displacement(Entry):
-    """Displacement of a point between two epochs, with its uncertainty and its test."""
+    """Displacement of a point between two epochs, with its uncertainty and the test whether the point moved."""
 
     target: str
     """Name of the target."""
     moved: bool
     """True if the displacement of the target is significant."""
     position_mm: Vector
-    """Position in the first epoch [mm]."""
+    """Position of the point in the first epoch [mm]."""
     displacement_um: Vector
-    """Displacement, second minus first epoch [um], in the frame that the stable points define."""
+    """Displacement [um], second minus first epoch, in the frame that the stable points define."""
     sigma_um: Vector
-    """Standard deviation of each component of the displacement [um]."""
+    """Standard deviations of the displacement along x, y and z [um]."""
     covariance_um2: tuple[Vector, Vector, Vector]
-    """Covariance of the components of the displacement [um^2]."""
+    """Covariance matrix of the displacement along x, y and z [um^2]."""
     semi_axes_um: Vector
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
     """p-value of the hypothesis that the point did not move, corrected for the number of tested points. The
-    displacements of all other displaced points are estimated together with this one."""
+    displacements of all other moved points are estimated at the same time."""
     detectable_um: tuple[Finite, Finite]
-    """Smallest displacements that are detected with a probability of 80 % [um]: in the most favourable direction and in
-    the least favourable one."""
+    """Smallest displacements [um] that are detected with a probability of 80 %: in the most favourable direction, and
+    in the least favourable direction."""
     point_chi2: OptionalFloat = None
-    """Chi-square of the coordinate difference of this point between the epochs, from this point alone; null if the
-    epochs have separate frames."""
+    """Chi-square (3 degrees of freedom in three dimensions) of the coordinate difference of this point alone; null if
+    the epochs have separate frames."""
 
     @property
     def table_row(self) -> list[Any]:
@@ -80,7 +86,7 @@ class Displacement(Entry):
 
 
 class Comparison(ResultFile):
-    """Result of `compare`, with the content of `comparison.json`; `recording` is the recording of the first epoch."""
+    """Result of `compare`, the content of `comparison.json`; `recording` is the recording of the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
@@ -88,28 +94,29 @@ class Comparison(ResultFile):
     second_recording: SourceEntry | None
     """Recording of the second epoch: name, size and digest of its data; null for a list of coordinates."""
     sentence: str
-    """Result in one sentence: the points that moved."""
+    """Sentence with the points that moved, or with the displacement that would have been detected."""
     significance_level: Finite
-    """Significance level: probability that at least one point is reported as displaced although none is."""
+    """Significance level: probability that at least one point is reported as moved although none moved."""
     statistic: Finite
-    """Chi-square of the congruence test, the global test of the hypothesis that no point is displaced."""
+    """Chi-square of the congruence test, which is the global test of the hypothesis that no point moved."""
     dof: int
-    """Degrees of freedom of the global test."""
+    """Degrees of freedom of the congruence test."""
     p_value: Finite
-    """p-value of the global test."""
+    """p-value of the congruence test with all points."""
     p_value_without_moved_points: Finite
-    """p-value of the global test of the points that are not displaced."""
+    """p-value of the congruence test with only the points that did not move."""
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Notes on the epochs: identified errors of the recordings, undetermined motions of the network, exchanged point
+    """Notes on the epochs: errors identified in the recordings, undetermined motions of the network, exchanged point
     names, a common motion of all points."""
     tests: tuple[CauseTest, ...] = ()
-    """Tests of the identified causes of a misfit of the first recording, and of its outliers."""
+    """Tests of the possible causes of a misfit of the first recording, and of its outliers."""
     second_tests: tuple[CauseTest, ...] = ()
-    """Tests of the identified causes of a misfit of the second recording, and of its outliers."""
+    """Tests of the possible causes of a misfit of the second recording, and of its outliers."""
     has_common_rigid_motion: bool = False
-    """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
+    """True if one rigid motion of all points explains most displacements, so that the lists may have different frames.
+    """
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacement and test of each point that both epochs contain, in the order of the first recording."""
 
@@ -117,13 +124,13 @@ class Comparison(ResultFile):
         return [
             self.sentence,
             *self.notes,
-            f"hypothesis of no displacement: {p_relation_text(self.p_value)} for all points, "
+            f"test of the hypothesis that no point moved: {p_relation_text(self.p_value)} for all points, "
             f"{p_relation_text(self.p_value_without_moved_points)} for the points that did not move",
         ]
 
     @property
     def corrected_faults(self) -> list[CauseTest]:
-        """Errors of both recordings that the model corrects."""
+        """Tests of the errors in the two recordings that the model corrects."""
         return corrected_faults((*self.tests, *self.second_tests))
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -131,12 +138,12 @@ class Comparison(ResultFile):
 
     @property
     def moved_points(self) -> tuple[str, ...]:
-        """Names of the points that moved."""
+        """Names of the points that moved significantly."""
         return tuple(d.target for d in self.displacements if d.moved)
 
 
 def coordinate_indices(points: Sequence[int] | Ints, n_axes: int) -> Ints:
-    """Indices of the coordinates of `points` (point indices) in a vector that lists the coordinates point by point.
+    """Indices of the coordinates of `points` (point indices) in a vector that lists all coordinates point by point.
 
     `n_axes` is the number of coordinates per point.
     """
@@ -145,10 +152,10 @@ def coordinate_indices(points: Sequence[int] | Ints, n_axes: int) -> Ints:
 
 @dataclass(frozen=True)
 class EpochDifference:
-    """Coordinate differences of the points in two aligned epochs, their covariance, and the free motions.
+    """Coordinate differences of points between two aligned epochs, with covariance and free motions.
 
     Free motions are rigid motions of all points that an epoch does not determine. The covariance of a free network is
-    singular along its free motions; a variance added along them makes it regular and does not change results.
+    singular along its free motions. A variance added along them makes it regular and does not change results.
     """
 
     point_names: Sequence[str]
@@ -158,29 +165,29 @@ class EpochDifference:
     covariance: Floats
     """Covariance of the coordinate differences, shape (coordinates, coordinates) [m^2]."""
     displacements_per_free_motion: Floats
-    """Displacements of the points by a unit of each free motion, shape (coordinates, free motions). Free motions are
-    the rigid motions of all points that an epoch does not determine."""
+    """Displacements of the coordinates by a unit of each free motion, shape (coordinates, free motions). A free motion
+    is a rigid motion of all points that an epoch does not determine."""
     axis_indices: Ints
-    """Indices of the compared coordinate axes; 0 is x."""
+    """Indices of the compared coordinate axes: 0 for x, 1 for y, 2 for z."""
     first_epoch_points: Floats
     """Coordinates of the points in the first epoch, shape (points, 3) [m]."""
     estimates_scale: bool = False
-    """True if the last free motion is the scale of the second epoch."""
+    """True if the last column of `displacements_per_free_motion` is the scale of the second epoch."""
 
     @property
     def n_points(self) -> int:
-        """Number of points."""
+        """Number of points that the epochs have in common."""
         return len(self.first_epoch_points)
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the global test: coordinate differences minus free motions."""
+        """Degrees of freedom of the congruence test: number of coordinate differences minus number of free motions."""
         return len(self._whitening_root) - self.displacements_per_free_motion.shape[1]
 
     def chi2_of_single_point(self, point: int) -> float | None:
         """Chi-square of the coordinate difference of the point with index `point`, from this point alone.
 
-        The result is None if the epochs have separate frames, because one point then determines no difference.
+        None if the epochs have separate frames, because a single point then determines no difference.
         """
         if self.displacements_per_free_motion.shape[1]:
             return None
@@ -192,28 +199,32 @@ class EpochDifference:
 
     @cached_property
     def _whitening_root(self) -> Floats:
+        """Matrix (rows, coordinates) that whitens coordinate differences, without directions that no epoch measured."""
         scale = np.sqrt(np.diag(self.covariance))
         values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        # Directions that neither epoch measured at all say nothing.
+        # Directions that no epoch measured contain no information.
         keep = values > 1e-12 * values[-1]
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design matrix: columns of the free motions, then of the displacements of the `moved_points`."""
+        """Whitened design matrix of the free motions, then of the displacements of `moved_points` (point indices)."""
         columns = np.eye(len(self.coordinate_differences))[:, coordinate_indices(moved_points, len(self.axis_indices))]
         return self._whitening_root @ np.hstack([self.displacements_per_free_motion, columns])
 
-    def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences after a fit of free motions and of displacements of `moved_points`."""
+    def chi2_after_fit(self, moved_points: Sequence[int] = ()) -> float:
+        """Chi-square of the differences after a fit of the free motions and of the displacements of `moved_points`.
+
+        `moved_points` are point indices.
+        """
         remaining, design = self._whitening_root @ self.coordinate_differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Least-squares estimates of the free motions and of the displacements of `moved_points`, with covariance.
+        """Least-squares estimates of the free motions and of the displacements of `moved_points`, and their covariance.
 
-        The shapes are (unknowns,) and (unknowns, unknowns): first the free motions, then each displaced point with one
-        unknown per compared axis.
+        The shapes are (unknowns,) and (unknowns, unknowns). The unknowns are the free motions, then for each moved
+        point one displacement per compared axis.
         """
         design = self._whitened_design(moved_points)
         column_norms = np.linalg.norm(design, axis=0)
@@ -229,8 +240,8 @@ def congruence_test(
 ) -> Comparison:
     """Comparison of two epochs by a congruence test at the significance level `alpha`.
 
-    Points outside the mask `stable_mask` (points,) are tested for displacements. `epoch_sources` are the sources of the
-    two epochs.
+    Points for which `stable_mask` (points,) is False are tested for displacements. `epoch_sources` describe the data of
+    the first and of the second epoch.
     """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
@@ -238,7 +249,7 @@ def congruence_test(
         _displacement_of_point(difference, i, moved, len(tested), alpha) for i in range(difference.n_points)
     )
     statistic, dof, remaining = (
-        difference.sum_of_squares(),
+        difference.chi2_after_fit(),
         difference.dof,
         difference.dof - len(difference.axis_indices) * len(moved),
     )
@@ -255,7 +266,7 @@ def congruence_test(
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_without_moved_points=float(special.chdtrc(remaining, max(difference.sum_of_squares(moved), 0.0)))
+        p_value_without_moved_points=float(special.chdtrc(remaining, max(difference.chi2_after_fit(moved), 0.0)))
         if remaining > 0
         else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
@@ -264,10 +275,10 @@ def congruence_test(
 
 
 def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
-    """Indices of the displaced points, at the significance level `alpha` for all `tested_indices` together.
+    """Indices of the points that moved, at the significance level `alpha` for all tests of `tested_indices` together.
 
-    Points with a significant displacement are added one by one. After each addition every displaced point is tested
-    again, with the displacements of the other displaced points in the model.
+    Points with a significant displacement are added one by one. At the end each of them is tested again, with the
+    displacements of the other moved points in the model.
     """
     moved_points: list[int] = []
     limit = special.chdtri(len(difference.axis_indices), alpha / max(len(tested_indices), 1))
@@ -277,16 +288,16 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
         - (len(difference.axis_indices) if difference.displacements_per_free_motion.shape[1] else 0),
     )
     while len(moved_points) < min(len(tested_indices), max_moved):
-        now = difference.sum_of_squares(moved_points)
+        now = difference.chi2_after_fit(moved_points)
         rest = [p for p in tested_indices if p not in moved_points]
-        drops = [now - difference.sum_of_squares([*moved_points, p]) for p in rest]
+        drops = [now - difference.chi2_after_fit([*moved_points, p]) for p in rest]
         best = int(np.argmax(drops))
         if drops[best] < limit:
             break
         moved_points.append(int(rest[best]))
     for point in list(moved_points):
         others = [p for p in moved_points if p != point]
-        if difference.sum_of_squares(others) - difference.sum_of_squares(moved_points) < limit:
+        if difference.chi2_after_fit(others) - difference.chi2_after_fit(moved_points) < limit:
             moved_points = others
     return moved_points
 
@@ -302,7 +313,7 @@ def _displacement_of_point(
     count, a = max(n_tested, 1), len(difference.axis_indices)
     others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
-    drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
+    drop = difference.chi2_after_fit(others) - difference.chi2_after_fit([*others, point])
     needed = noncentrality(a, alpha=alpha / count)
     visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
@@ -327,10 +338,11 @@ def _displacement_of_point(
 
 
 def _result_sentence(displacements: Sequence[Displacement]) -> str:
+    """Sentence with the points that moved, or with the displacement that would have been detected."""
     size_by_target = {d.target: float(np.linalg.norm(d.displacement_um)) for d in displacements if d.moved}
     if not size_by_target:
         sure = max(d.detectable_um[1] for d in displacements)
-        return f"no point moved; a displacement of {sure:.0f} um of any point would be detected with 80 % probability"
+        return f"no point moved; a displacement of any point by {sure:.0f} um is detected with 80 % probability"
     names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
     names = names_text([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
     return f"{len(names_by_size)} of {len(displacements)} points moved: {names}"

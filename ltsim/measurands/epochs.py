@@ -1,9 +1,8 @@
 """Displacements of points between two epochs: adjustment of each epoch, alignment, and congruence test.
 
-Each epoch is adjusted separately. The second epoch is aligned to the first by the rigid motions that are free in one
-of the epochs, and by a scale if requested. The remaining coordinate differences are tested with their full covariance.
-Displaced points are added one by one, each time the point that explains most of the remaining differences, until the
-other points are congruent. Each displaced point is then tested with the displacements of the others in the model.
+The second epoch is aligned to the first by the rigid motions that are free in one of the epochs, and by a scale if
+requested. The coordinate differences are tested with their full covariance. Moved points are added one by one, each
+time the point that explains most of the differences. Each is finally tested with the other moved points in the model.
 """
 
 from __future__ import annotations
@@ -24,7 +23,12 @@ from ltsim.core.notation import names_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
 from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_indices
-from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observation_uncertainty_sources
+from ltsim.measurands.inputs import (
+    CONTROL_POINTS_SOURCE_NAME,
+    PRIOR_SOURCE_NAME,
+    REFERENCE_LENGTHS_SOURCE_NAME,
+    observation_uncertainty_sources,
+)
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
@@ -32,8 +36,8 @@ from ltsim.recordings.setup import LengthGauge
 from ltsim.recordings.tables.setups import normalised_name
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-ALL_AXES = np.arange(3)
-"""Indices of the three coordinate axes."""
+ALL_AXIS_INDICES = np.arange(3)
+"""Indices of the coordinate axes x, y and z."""
 
 
 def compare_adjustments(
@@ -45,7 +49,7 @@ def compare_adjustments(
     same_instrument: bool = False,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Comparison of two converged adjustments in separate frames; options and errors are explained at `lt.compare`."""
+    """Comparison of two converged adjustments with separate frames; `lt.compare` explains options and errors."""
     undetermined = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_frame_points=3)
@@ -90,7 +94,7 @@ def compare_coordinates(
     result = _compare_epochs(
         before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
     )
-    if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
+    if is_open or len(first.axes) < len(ALL_AXIS_INDICES) or len(common_names) <= len(ALL_AXIS_INDICES):
         return result
     return _with_rigid_motion_note(
         result,
@@ -101,7 +105,7 @@ def compare_coordinates(
 
 
 def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch with points renamed as in `names` if only case, blanks or leading zeros differ; and notes on it."""
+    """Epoch whose points are renamed as in `names` if only case, blanks or leading zeros differ, and a note on this."""
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
     unmatched_names = [name for name in epoch.names if name not in names]
     normalised = [normalised_name(name) for name in unmatched_names]
@@ -120,7 +124,7 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
 def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: Callable[[], Comparison]) -> Comparison:
     """Comparison of lists in one frame, with a note if one rigid motion of all points explains most displacements.
 
-    `compare_with_free_motions` compares the lists in separate frames, to find such a motion.
+    `compare_with_free_motions` compares the lists in separate frames, which shows such a motion.
     """
     n_points = len(comparison.displacements)
     if 2 * len(comparison.moved_points) <= n_points:
@@ -130,7 +134,7 @@ def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: C
         return comparison
     moved_names_text = f": {names_text(list(free.moved_points))}" if free.moved_points else ""
     note = (
-        f"the points moved together, like one rigid body: aligned by {option_text('free=True')}, "
+        f"most points moved together like one rigid body; after alignment of the lists by {option_text('free=True')}, "
         f"{len(free.moved_points)} of {n_points} points moved{moved_names_text}"
     )
     return comparison.model_copy(update={"notes": (*comparison.notes, note), "has_common_rigid_motion": True})
@@ -144,20 +148,20 @@ def _compare_epochs(
     is_declared_stable: Bools,
     alpha: float,
     epoch_sources: tuple[SourceEntry, SourceEntry],
-    axis_indices: Ints = ALL_AXES,
+    axis_indices: Ints = ALL_AXIS_INDICES,
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions.
+    """Comparison of two epochs; points whose names are exchanged are compared by their positions.
 
-    The points in `stable_mask` define the frame; `is_declared_stable` is a mask of points declared stable by the user.
+    The points flagged in `stable_mask` define the frame; the user declared those in `is_declared_stable` stable.
     """
     gap = _epoch_difference(first, second, with_scale, stable_mask, axis_indices)
     result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
-    order = exchanged_name_order(gap, [i for i, d in enumerate(result.displacements) if d.moved])
+    order = order_of_exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
             _epoch_difference(
-                first, second.with_order(order, len(axis_indices)), with_scale, stable_mask, axis_indices
+                first, second.with_point_order(order, len(axis_indices)), with_scale, stable_mask, axis_indices
             ),
             is_declared_stable,
             alpha,
@@ -170,9 +174,9 @@ def _compare_epochs(
 def _stable_point_mask(
     point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_frame_points: int
 ) -> Bools:
-    """Mask of the points in both epochs that may define the frame: all, or the user's `stable_names`.
+    """Mask of the common points that may define the frame: all of them, or the user's `stable_names`.
 
-    At least `n_frame_points` are necessary. `point_noun` names the compared epochs in messages.
+    At least `n_frame_points` are necessary. `point_noun` names the epochs in messages, such as "recordings".
     """
     for name in stable_names or ():
         if name not in common_names:
@@ -196,13 +200,13 @@ class _Epoch:
     covariance: Floats
     """Joint covariance of the compared coordinates of all points, shape (coordinates, coordinates) [m^2]."""
     displacements_per_common_error: Floats
-    """Displacements by one standard deviation of each error that both epochs may share, (coordinates, errors) [m]."""
+    """Displacements (coordinates, errors) [m] by one standard deviation of each error that the two epochs may share."""
     free_motions: Floats
     """Coefficients (6, motions) of undetermined motions: three translations, then three rotations about the origin."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, common_sources: Sequence[str]) -> Self:
-        """Epoch of the targets `target_indices`; `common_sources` names the errors that both epochs share."""
+        """Epoch with the targets `target_indices`; `common_sources` names the sources whose errors two epochs share."""
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_observation(adjustment, columns[0])
         shifts_by_source = {
@@ -225,7 +229,7 @@ class _Epoch:
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
-        """Epoch of a list of coordinates, reduced to `point_names`, with the given free motions (6, motions)."""
+        """Epoch with the points `point_names` of a list of coordinates, and with given free motions (6, motions)."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
         row_indices = coordinate_indices(indices, len(coordinates.axes))
         return cls(
@@ -236,26 +240,25 @@ class _Epoch:
             free_motions,
         )
 
-    def with_order(self, point_order: Ints, n_axes: int) -> Self:
-        """Epoch with reordered points: new point i is old point `point_order[i]`, with `n_axes` coordinates each."""
+    def with_point_order(self, point_order: Ints, n_axes: int) -> Self:
+        """Epoch whose point i is the present point `point_order[i]`, with `n_axes` coordinates per point."""
         row_indices = coordinate_indices(point_order, n_axes)
-        covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
-            covariance=covariance,
+            covariance=self.covariance[np.ix_(row_indices, row_indices)],
             displacements_per_common_error=self.displacements_per_common_error[row_indices],
         )
 
 
 def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Names of the sources of uncertainty whose errors both epochs share, because their declarations are equal."""
+    """Names of the sources of uncertainty whose errors two epochs share, because their declarations are equal."""
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
-        common.append(PRIOR_SOURCE)
+        common.append(PRIOR_SOURCE_NAME)
     if (
         earlier.gauge is not None
         and later.gauge is not None
@@ -263,28 +266,28 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     ):
         shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
         common += [
-            LENGTHS_SOURCE,
+            REFERENCE_LENGTHS_SOURCE_NAME,
             *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR_PREFIX)),
         ]
     control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
     if control[0] and control[0] == control[1]:
-        common.append(CONTROL_SOURCE)
+        common.append(CONTROL_POINTS_SOURCE_NAME)
     return common
 
 
 def _gauge_without_temperatures(gauge: LengthGauge) -> LengthGauge:
-    """Gauge with its certified lengths only, without the temperatures during the measurement."""
+    """Gauge (reflectors at known distances) with certified lengths only, without temperatures of the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
 def _epoch_difference(
-    first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
+    first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXIS_INDICES
 ) -> EpochDifference:
-    """Coordinate differences after alignment of the second epoch to the first by the free motions of both.
+    """Coordinate differences after the second epoch was aligned to the first by the free motions of the two epochs.
 
-    The points in the mask `stable_mask` (points,) define the alignment, and `axes` are the compared coordinate axes.
+    The points in the mask `stable_mask` (points,) define the alignment. `axes` are the indices of the compared axes.
     """
     before, after, turn = first_epoch.points, second_epoch.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
@@ -318,25 +321,25 @@ def _epoch_difference(
 
 
 def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Coefficients (6, free motions) of motions whose rotations are about `centre` instead of the origin."""
+    """Coefficients (6, motions) of the motions if their rotations are about `centre` (3,) [m] instead of the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return about
 
 
-MAX_EXCHANGE_DISTANCE_RATIO = 0.1
-"""Largest distance of two points from each other's first-epoch position at which their names count as exchanged, as a
-fraction of the distance between the two points."""
+MAX_NAME_EXCHANGE_RATIO = 0.1
+"""Largest ratio at which the names of two points count as exchanged: distance of each point from the first-epoch
+position of the other one, divided by the distance between the two points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Indices of the free rigid motions of a network, by the rank defect of its covariance matrix; 0 to 2 are translations
 along x, y and z, 3 to 5 are rotations about these axes."""
 
 
 def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
-    """Coefficients (6, motions) of the rigid motions that are free in an epoch, by the rank defect of its covariance.
+    """Coefficients (6, motions) of the rigid motions that an epoch leaves free, from the rank defect of its covariance.
 
     If inner constraints over all points define the datum, the variance along the free motions is zero. If only some
-    points define it, the defect is the same in other directions; `MOTIONS_BY_RANK_DEFECT` then gives the motions.
+    points define it, the defect is equal but its directions differ; `MOTIONS_BY_RANK_DEFECT` then gives the motions.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
@@ -362,8 +365,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     return free_motions
 
 
-def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
-    """Index (points,) of the point whose name each point has in the second epoch; None if no names are exchanged.
+def order_of_exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
+    """Order (points,) of the second epoch's points that corrects exchanged names; None if no names are exchanged.
 
     Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another one of them.
     """
@@ -373,7 +376,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
     after = before + difference.coordinate_differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
-    taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE_RATIO * distance)
+    taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_NAME_EXCHANGE_RATIO * distance)
     places = {moved_points[i]: moved_points[nearest[i]] for i in np.flatnonzero(taken).tolist()}
     if not places or set(places) != set(places.values()):
         return None
@@ -383,14 +386,14 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
 
 
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
-    """Sentence on the names that are exchanged in the second epoch; `point_order` is from `exchanged_name_order`."""
+    """Sentence on the names that are exchanged in the second epoch, from the result of `order_of_exchanged_names`."""
     changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
     names_changed = names_text([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
 def undetermined_motions_note(n_motions: int) -> str:
-    """Note on the number `n_motions` of undetermined motions of the whole network, and on the alignment along them."""
+    """Note on the `n_motions` undetermined motions of the whole network, and on the alignment along them."""
     return (
         f"the covariances leave {n_motions} motions of the whole network undetermined (free networks): the second "
         "epoch is aligned with the first along them"

@@ -1,4 +1,4 @@
-"""Evaluation of tasks: results, uncertainty by propagation and by Monte Carlo, budgets and conformity decisions."""
+"""Evaluation of tasks: results with uncertainty by propagation and by Monte Carlo, budgets, conformity decisions."""
 
 from dataclasses import dataclass
 
@@ -41,15 +41,16 @@ from ltsim.solve.threads import single_threaded
 class TaskEvaluation:
     """Results of all tasks as arrays, with their uncertainty by propagation (GUM) and by Monte Carlo (JCGM 101).
 
-    A task can have several results, such as x, y and z. `to_result` converts the arrays to the result of `uncertainty`.
+    A task is a measurand (such as a length) with its targets; it can have several results, such as x, y and z.
+    `to_result` converts the arrays to the result of `uncertainty`.
     """
 
     tasks: Tasks
-    """Tasks that are evaluated."""
+    """Tasks of the task file, with the options of the evaluation."""
     inputs: TaskInputs
-    """Points of the tasks and their sources of uncertainty."""
+    """Points that the tasks use, with the sources of their uncertainty."""
     measurands: tuple[Measurand, ...]
-    """Measurand of each task."""
+    """Measurand (function of points) of each task."""
     linear_uncertainty: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
     monte_carlo_uncertainty: MonteCarloUncertainty
@@ -57,17 +58,17 @@ class TaskEvaluation:
     intervals_agree: Bools
     """Mask (results,): True if a result's intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8)."""
     nonlinearity_ratios: Floats
-    """Difference of each result between the exact and the linearised adjustment, divided by its standard uncertainty,
-    shape (results,)."""
+    """Difference of each result between the exact and the linearised adjustment, divided by the standard uncertainty of
+    the result, shape (results,)."""
 
     @property
     def outputs(self) -> list[tuple[Task, TaskOutput]]:
-        """Task of each result, and name and unit of the result, in the order of the results."""
+        """Task, and name and unit, of each result in the order of the results."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on the air, on the recording and on single results (nonlinear, not normal), one sentence each."""
+        """Warnings on the air, on the recording and on single results (nonlinear, not normally distributed)."""
         air = self.inputs.air_text
         warnings = (
             [f"all budgets include the {air}; change these values in the table [air] of the task file or of the set-up"]
@@ -79,13 +80,13 @@ class TaskEvaluation:
             what = f"{task.name}, {output.name}"
             if self.nonlinearity_ratios[i] > MAX_NONLINEARITY_RATIO:
                 gap = f"difference of {self.nonlinearity_ratios[i]:.2g} standard uncertainties"
-                warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
+                warnings.append(f"{what}: uncertainty too large for a linear adjustment ({gap}); improve the network")
             elif not self.intervals_agree[i] and self.monte_carlo_uncertainty.is_stable[i]:
-                warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
+                warnings.append(f"{what}: the distribution is not normal; use the interval by Monte Carlo")
         if not self.monte_carlo_uncertainty.is_stable.all():
             count = int(np.sum(~self.monte_carlo_uncertainty.is_stable))
             is_limited = self.monte_carlo_uncertainty.n_trials + TRIALS_PER_BATCH <= self.tasks.monte_carlo.max_trials
-            remedy = "divide the tasks among task files" if is_limited else "raise max_trials"
+            remedy = "divide the tasks among several task files" if is_limited else "increase max_trials"
             warnings.append(
                 f"{count} of {len(self.monte_carlo_uncertainty.is_stable)} results are not stable to "
                 f"{self.tasks.monte_carlo.digits} digits "
@@ -95,7 +96,7 @@ class TaskEvaluation:
 
     @property
     def to_result(self) -> Uncertainty:
-        """Result with values and uncertainties in the units of the tasks."""
+        """Result of `uncertainty`, with values and uncertainties in the units of the tasks."""
         network_or_coordinates, network = self.inputs.network_or_coordinates, self.inputs.network
         if isinstance(network_or_coordinates, EpochCoordinates):
             source, frame, sigma0 = (
@@ -127,11 +128,15 @@ class TaskEvaluation:
         )
 
     def _task_result(self, result_index: int, task: Task, task_output: TaskOutput) -> TaskResult:
+        """Entry of uncertainty.json for the result with index `result_index`, with its budget and conformity."""
         unit, drawn = task_output.si_per_unit, self.monte_carlo_uncertainty
         linear, coverage_probability = self.linear_uncertainty, self.tasks.monte_carlo.coverage_probability
-        value, sigma = float(linear.values[result_index]) / unit, float(linear.sigma[result_index]) / unit
+        value, sigma = (
+            float(linear.result_values[result_index]) / unit,
+            float(linear.standard_uncertainties[result_index]) / unit,
+        )
         half_width = float(linear.expanded_uncertainty(coverage_probability)[result_index]) / unit
-        tolerance, draws = task.tolerances.get(task_output.name), drawn.values[:, result_index] / unit
+        tolerance, draws = task.tolerances.get(task_output.name), drawn.trial_results[:, result_index] / unit
         return TaskResult(
             task=task.name,
             kind=task.kind,
@@ -143,7 +148,7 @@ class TaskEvaluation:
             expanded_uncertainty=half_width,
             monte_carlo=MonteCarloDistribution(
                 mean=float(drawn.means[result_index]) / unit,
-                standard_uncertainty=float(drawn.sigmas[result_index]) / unit,
+                standard_uncertainty=float(drawn.standard_uncertainties[result_index]) / unit,
                 symmetric_interval=(drawn.symmetric_intervals[result_index] / unit).tolist(),
                 shortest_interval=(drawn.shortest_intervals[result_index] / unit).tolist(),
                 is_stable=bool(drawn.is_stable[result_index]),
@@ -158,7 +163,7 @@ class TaskEvaluation:
         )
 
     def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenErrorEntry, ...]:
-        """Errors that change no reading but change the result noticeably, relative to its uncertainty.
+        """Errors that change no reading but change the result noticeably compared with its standard uncertainty.
 
         `unit` is the unit of the result in SI units, `sigma` the standard uncertainty of the result in this unit.
         """
@@ -174,7 +179,7 @@ class TaskEvaluation:
         )
 
     def _budget_entries(self, result_index: int, sigma: float) -> tuple[BudgetEntry, ...]:
-        """Budget of a result: fraction of its variance from each source of uncertainty, the largest first.
+        """Budget of a result: fraction of its variance from each source of uncertainty, the largest fraction first.
 
         The fractions sum to 1. `sigma` is the standard uncertainty of the result in its unit.
         """
@@ -200,17 +205,23 @@ class TaskEvaluation:
 
 @raise_for_singular_network
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo; raises as `lt.uncertainty`."""
+    """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo.
+
+    Raises the errors that `lt.uncertainty` lists.
+    """
     return _evaluate_tasks(TaskInputs.from_recording(recording, tasks), tasks)
 
 
 def evaluate_tasks_on_coordinates(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on a list of coordinates with its covariance; raises as `lt.uncertainty`."""
+    """Results of tasks on a list of coordinates with its covariance, with uncertainty by propagation and Monte Carlo.
+
+    Raises the errors that `lt.uncertainty` lists.
+    """
     return _evaluate_tasks(TaskInputs.from_coordinates(coordinates, tasks), tasks)
 
 
 def _require_few_results(tasks: Tasks) -> None:
-    """Check of the number of results of all tasks; raises ModelError above `MAX_UNCERTAINTY_TASK_RESULTS`."""
+    """Check that the tasks have at most `MAX_UNCERTAINTY_TASK_RESULTS` results; raises ModelError."""
     n_results = sum(len(Measurand(task, np.zeros(0, dtype=np.int64)).outputs) for task in tasks.task)
     if n_results > MAX_UNCERTAINTY_TASK_RESULTS:
         raise ModelError(
@@ -221,13 +232,13 @@ def _require_few_results(tasks: Tasks) -> None:
 
 @single_threaded
 def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on points with the sources of uncertainty in `task_inputs`."""
+    """Results of tasks on the points in `task_inputs`, with uncertainty from the sources in `task_inputs`."""
     _require_few_results(tasks)
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
     stretch = thermal_expansion_of_part(tasks.part_expansion)
     linear = propagate(task_inputs, measurands, stretch)
     drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
     gap = max_nonlinearity_differences(task_inputs, measurands, tasks.monte_carlo.seed)
-    curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
+    curved = gap / np.where(linear.standard_uncertainties > 0, linear.standard_uncertainties, np.inf)
     agrees = drawn.intervals_agree(linear, tasks.monte_carlo.coverage_probability)
     return TaskEvaluation(tasks, task_inputs, measurands, linear, drawn, agrees, curved)

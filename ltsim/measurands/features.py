@@ -1,6 +1,6 @@
 """Geometric features fitted to points by orthogonal least squares, for many sets of points at once.
 
-Line and plane have closed solutions. Circle, sphere and cylinder are Gauss-Newton iterations from algebraic start
+Line and plane have closed solutions. Circle, sphere and cylinder need Gauss-Newton iterations from algebraic start
 values. Arrays of points (..., points, 3) [m] may have any leading dimensions, for example the draws of a Monte Carlo
 simulation.
 
@@ -19,25 +19,26 @@ from ltsim.core.errors import ModelError
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 FEATURE_STEP_TOLERANCE = 1e-11
-"""Largest step of a Gauss-Newton iteration, relative to the extent of the points, at which the fit has converged."""
-N_INITIAL_AXES = 60
-"""Number of start directions for the axis of a cylinder, distributed over a half sphere."""
+"""Largest Gauss-Newton step, relative to the extent of the points, at which the fit of a feature has converged."""
+N_INITIAL_CYLINDER_AXES = 60
+"""Number of initial directions for the axis of a cylinder, distributed over a half sphere."""
 
 
 @dataclass(frozen=True)
 class FittedFeature:
-    """Line, plane, circle, sphere or cylinder fitted to points, and the deviations of the points from it."""
+    """Line, plane, circle, sphere or cylinder fitted to points, with the deviations of the points from it."""
 
     reference_point: Floats
-    """Centre of a circle or sphere, or projection of the points' centroid onto the line, plane or cylinder axis, shape
-    (..., 3) [m]."""
+    """Point (..., 3) [m] of the feature: centre of a circle or sphere, or projection of the points' centroid onto the
+    line, plane or cylinder axis."""
     direction: Floats
-    """Unit vector (..., 3) along a line or axis, or normal to a plane or to the plane of a circle; NaN for a sphere."""
+    """Unit vector (..., 3) along the line or cylinder axis, or normal to the plane or the plane of the circle; NaN for
+    a sphere."""
     radius: Floats
-    """Radius [m]; NaN for a line and a plane."""
+    """Radius (...) [m] of a circle, sphere or cylinder; NaN for a line and a plane."""
     deviations: Floats
-    """Signed orthogonal distance of each point from the feature, shape (..., points) [m]. It is unsigned for a line.
-    For a circle it is the radial or the axial deviation, whichever is larger."""
+    """Signed orthogonal distance of each point from the feature, shape (..., points) [m]; unsigned for a line. For a
+    circle it is the radial or the axial deviation, whichever is larger."""
 
 
 MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
@@ -45,10 +46,10 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 
 
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
-    """Feature fitted to points by least squares; `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`.
+    """Feature fitted to points (..., points, 3) [m] by least squares.
 
-    `points` has the shape (..., points, 3) [m]. `start_feature` is an approximate feature; without it, a cylinder is
-    fitted from many start directions. ModelError is raised if the points do not determine the feature.
+    `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`. `start_feature` is an approximate feature; without it, a
+    cylinder is fitted from many initial directions. Raises ModelError if the points do not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:
@@ -77,6 +78,7 @@ def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature 
 
 
 def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Line through the origin along the first principal axis of centred points."""
     _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
@@ -86,6 +88,7 @@ def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> F
 
 
 def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Plane through the origin normal to the last principal axis of centred points."""
     _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
     normal = v[..., 2, :]
@@ -93,10 +96,12 @@ def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> 
 
 
 def _feature_without_radius(unit_normal: Floats, deviations: Floats) -> FittedFeature:
+    """Line or plane through the origin with the direction `unit_normal`, and deviations of the points from it."""
     return FittedFeature(np.zeros_like(unit_normal), unit_normal, np.full(unit_normal.shape[:-1], np.nan), deviations)
 
 
 def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Sphere by Gauss-Newton iterations from an algebraic fit."""
     centre, radius = _algebraic_fit(centred_points)
     for _ in range(MAX_ITERATIONS):
         arm = centred_points - centre[..., None, :]
@@ -111,6 +116,7 @@ def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) ->
 
 
 def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    """Circle in space by Gauss-Newton iterations from an algebraic fit in the plane of the points."""
     normal = _fit_plane(centred_points, None).direction
     centre, radius = _projected_circle(centred_points, normal)
     for _ in range(MAX_ITERATIONS):
@@ -134,14 +140,16 @@ def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) ->
 
 
 def _fit_cylinder(centred_points: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
-    """Least-squares cylinder; the start axis is the one of many directions whose algebraic circle fits best."""
+    """Least-squares cylinder, from `initial_feature` or from the axis direction whose algebraic circle fits best."""
     if initial_feature is not None:
         return _refine_cylinder(
             centred_points, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
         )
     features = []
     for points in centred_points.reshape(-1, *centred_points.shape[-2:]):
-        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_AXES)])
+        axes = np.concatenate(
+            [np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_CYLINDER_AXES)]
+        )
         many = np.broadcast_to(points, (len(axes), *points.shape))
         centre, radius = _projected_circle(many, axes, raises_if_undetermined=False)
         gap = np.hypot(*_axis_coordinates(many, centre, axes)[2:]) - radius[:, None]
@@ -166,6 +174,7 @@ def _refine_cylinder(
     *,
     raises_if_undetermined: bool = True,
 ) -> FittedFeature:
+    """Cylinder after Gauss-Newton iterations from an approximate axis direction, centre and radius."""
     for _ in range(MAX_ITERATIONS):
         (first, second), along, x, y = _axis_coordinates(centred_points, centre, axis_direction)
         reach = np.maximum(np.hypot(x, y), 1e-300)
@@ -195,7 +204,8 @@ def _axis_coordinates(
 ) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
     """Two unit vectors (..., 3) perpendicular to an axis through `centre`, and coordinates of points in this system.
 
-    The coordinates, each (..., points) [m], are the height along the axis and those along the two unit vectors.
+    The coordinates, each (..., points) [m], are the height along the axis and the coordinates along the two unit
+    vectors.
     """
     sides = _perpendicular_vectors(axis_direction)
     arm = centred_points - centre[..., None, :]
@@ -206,7 +216,7 @@ def _axis_coordinates(
 def _projected_circle(
     centred_points: Floats, axis_direction: Floats, *, raises_if_undetermined: bool = True
 ) -> tuple[Floats, Floats]:
-    """Centre (..., 3) and radius (...) [m] of an algebraic circle fitted to points that are projected along an axis."""
+    """Centre (..., 3) and radius (...) [m] of an algebraic circle through points that are projected along an axis."""
     (first, second), _, x, y = _axis_coordinates(centred_points, np.zeros_like(axis_direction), axis_direction)
     middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), raises_if_undetermined=raises_if_undetermined)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
@@ -235,7 +245,7 @@ def _least_squares_step(
 ) -> Floats:
     """Least-squares step (..., unknowns) for a design matrix (..., rows, unknowns) and a misclosure (..., rows).
 
-    If the design is singular, the step is NaN, or ModelError is raised with `raises_if_undetermined`.
+    If the design matrix is singular, the step is NaN, or ModelError is raised with `raises_if_undetermined`.
     """
     q, r = np.linalg.qr(design)
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
@@ -249,16 +259,18 @@ def _least_squares_step(
 
 
 def _require_determined(feature_kind: str, is_determined: Bools | np.bool_, reason: str) -> None:
+    """Check that points determine a feature; raises ModelError with the `reason` if they do not."""
     if not np.all(is_determined):
         raise ModelError(f"the points of the {feature_kind} {reason}")
 
 
 def _unit_vectors(vectors: Floats) -> Floats:
+    """Vectors (..., 3) divided by their lengths."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (..., 3) that form a right-handed frame with the normal and depend on it smoothly."""
+    """Two unit vectors (..., 3) that form a right-handed frame with a normal and depend on it smoothly."""
     least = (
         np.argmin(np.abs(unit_normal.reshape(-1, 3)).mean(axis=0))
         if unit_normal.ndim > 1
@@ -272,7 +284,7 @@ def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _half_sphere_directions(n_directions: int) -> Floats:
-    """Unit vectors (n_directions, 3), distributed evenly over a half sphere (Fibonacci spiral)."""
+    """Unit vectors (n_directions, 3) that are distributed evenly over a half sphere (Fibonacci spiral)."""
     i = np.arange(n_directions) + 0.5
     z = i / n_directions
     turn = i * np.pi * (3.0 - np.sqrt(5.0))

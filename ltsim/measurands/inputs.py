@@ -1,7 +1,7 @@
 """Input quantities of tasks: adjusted points, and all sources of their uncertainty.
 
 To first order, the matrix P = N^-1 A' maps changes of the whitened readings to displacements of the adjusted points; N
-is the normal matrix and A the design matrix. Errors of observations, and effects that change readings, act on the
+is the normal matrix and A the design matrix. Errors of observations, and effects that change readings, displace the
 points through P. The covariance of the points is therefore the sum of the contributions of the sources.
 """
 
@@ -41,33 +41,33 @@ SIGMA_PER_SIZE_BY_DISTRIBUTION = {
     "triangular": 1 / np.sqrt(6),
     "arcsine": 1 / np.sqrt(2),
 }
-"""Standard deviation of each distribution with the size 1. The size of a normal distribution is its standard deviation,
-the size of each other distribution its half-width."""
+"""Standard deviation of a distribution of size 1, by name of the distribution. The size of a normal distribution is its
+standard deviation, the size of each other distribution its half-width."""
 
 
-LENGTHS_SOURCE = "known lengths"
-"""Name, in budgets, of the source of uncertainty from declared reference lengths."""
-CONTROL_SOURCE = "control points"
-"""Name, in budgets, of the source of uncertainty from coordinates of control points."""
-PRIOR_SOURCE = "specification"
-"""Name, in budgets, of the source of uncertainty from the prior of the instrument parameters."""
-CORRECTED_ERRORS_SOURCE = "plausible size of corrected errors"
-"""Name, in budgets, of the source of uncertainty from the weak prior of errors of the recording that the model
-corrects."""
-STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE: "what the maker guarantees"}
-"""Key of the random stream of a source whose key is not its name. The draws depend on the key, which therefore must not
-change."""
+REFERENCE_LENGTHS_SOURCE_NAME = "known lengths"
+"""Name, in budgets, of the uncertainty that comes from declared reference lengths."""
+CONTROL_POINTS_SOURCE_NAME = "control points"
+"""Name, in budgets, of the uncertainty that comes from the coordinates of control points."""
+PRIOR_SOURCE_NAME = "specification"
+"""Name, in budgets, of the uncertainty that comes from the prior of the instrument parameters."""
+CORRECTED_ERRORS_SOURCE_NAME = "plausible size of corrected errors"
+"""Name, in budgets, of the uncertainty that comes from errors of the recording which the model corrects with a weak
+prior."""
+RANDOM_STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE_NAME: "what the maker guarantees"}
+"""Key of the random stream of each source whose key is not its name. The draws depend on the key, which therefore must
+not change."""
 
 
 @dataclass(frozen=True)
 class UncertaintySource(ValueEquality):
-    """Source of uncertainty of points, with independent random variables."""
+    """Source of uncertainty of points: independent random variables, each of which displaces the points."""
 
     name: str
     """Name of the source in the budget."""
     evaluation_type: Literal["A", "B"]
-    """Type of evaluation (GUM): ``A`` for observations, ``B`` for specifications, certificates and all other
-    sources."""
+    """Type of evaluation (GUM): ``A`` for observations, ``B`` for specifications, certificates and all other sources.
+    """
     displacements_per_sigma: Floats
     """Displacement of all coordinates by one standard deviation of each random variable, shape (coordinates, random
     variables) [m]."""
@@ -82,29 +82,29 @@ class UncertaintySource(ValueEquality):
 
 @dataclass(frozen=True)
 class TaskInputs(ValueEquality):
-    """Points that tasks use, and the sources of their uncertainty."""
+    """Points that tasks (measurands such as a length or a circle) use, with the sources of their uncertainty."""
 
     network_or_coordinates: Adjustment | EpochCoordinates
-    """Adjusted network, or list of coordinates with its covariance."""
+    """Adjusted network of a recording, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
     points: Floats
     """Coordinates of the points, shape (points, 3) [m]."""
     displacement_per_observation: Floats
-    """Displacement of all coordinates per unit of each whitened observation, shape (observations, coordinates) [m]."""
+    """Displacement of all coordinates by a unit of each whitened observation, shape (observations, coordinates) [m]."""
     sources: tuple[UncertaintySource, ...]
     """Sources of uncertainty of the points."""
     air_text: str = ""
-    """Sentence part on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
+    """Phrase on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
     displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
-    """Displacement of the points, shape (coordinates,) [m], by one standard deviation of each error of the air that all
-    stations share and that changes no residual, by the error's description. The sources do not include these errors."""
+    """Displacement (coordinates,) [m] of the points by one standard deviation of each error of the air that all
+    stations share and that changes no residual, by description of the error. `sources` do not include these errors."""
     network: IdentifiedNetwork | None = None
-    """Network with the identified causes of its misfit; None for a list of coordinates."""
+    """Adjusted network with the identified causes of its misfit; None for a list of coordinates."""
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
-        """Points of the tasks from an adjusted recording, with the sources of their uncertainty.
+        """Points of the tasks from the adjustment of a recording, with the sources of their uncertainty.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or InputError for an unknown
         target or effect.
@@ -123,7 +123,7 @@ class TaskInputs(ValueEquality):
         indices = np.array([recording.targets.index(name) for name in names])
         reach = displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
-            replace(s, displacements_per_sigma=factor * _reduce_variates(s.displacements_per_sigma))
+            replace(s, displacements_per_sigma=factor * _with_fewer_variables(s.displacements_per_sigma))
             for s in observation_uncertainty_sources(adjustment, reach)
         ]
         observed += smr_radius_uncertainty_sources(adjustment, reach)
@@ -138,9 +138,9 @@ class TaskInputs(ValueEquality):
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
-        """Points of the tasks from a list of coordinates; the only source of uncertainty is its joint covariance.
+        """Points of the tasks from a list of coordinates, whose joint covariance is the only source of uncertainty.
 
-        ModelError is raised for points or axes that the list lacks, and for sources that act on readings.
+        Raises ModelError if the list lacks points or axes, and for effects that act on readings.
         """
         if tasks.type_b:
             raise ModelError("type_b acts on readings, and a list of coordinates has none; give the recording")
@@ -164,17 +164,17 @@ class TaskInputs(ValueEquality):
 
 
 def _target_names(tasks: Tasks) -> tuple[str, ...]:
-    """Names of the points that tasks use, each once."""
+    """Names of the points that the tasks use, each name once."""
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
 def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the groups of observations, except observations that only define the frame.
 
-    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
-    whitened observations. Errors that reference lengths share (expansion coefficient, thermometer) are separate
-    sources. Errors that the adjustment estimates with a prior, for tracker heads, reflectors and groups of readings,
-    are separate sources too.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
+    observations. Errors that reference lengths share (expansion coefficient, thermometer) are separate sources. Errors
+    that the adjustment estimates with a prior (of tracker heads, reflectors, groups of readings) are separate sources
+    too.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.is_used_reading)[1]
@@ -183,23 +183,23 @@ def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: F
     by_length = point_derivatives[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
-        (CONTROL_SOURCE, problem.control_rows.n_coordinates + problem.control_rows_of_marks.n_coordinates),
+        (CONTROL_POINTS_SOURCE_NAME, problem.control_rows.n_coordinates + problem.control_rows_of_marks.n_coordinates),
         ("known differences", problem.difference_rows.n_coordinates),
         ("levels", 2 * len(problem.level_rows)),
         ("orientations", len(problem.yaw_rows)),
         ("", problem.undetermined_unknowns.n_fixing_equations),
-        (PRIOR_SOURCE, int(np.isfinite(problem.prior.sigma).sum())),
+        (PRIOR_SOURCE_NAME, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
     sources = [
-        UncertaintySource(name, "B" if name == PRIOR_SOURCE else "A", point_derivatives[rows].T)
+        UncertaintySource(name, "B" if name == PRIOR_SOURCE_NAME else "A", point_derivatives[rows].T)
         for name, rows in groups
         if name and len(rows)
     ]
     if len(gauge):
         lengths = UncertaintySource(
-            LENGTHS_SOURCE, "B", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
+            REFERENCE_LENGTHS_SOURCE_NAME, "B", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
         )
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
     shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_changes.items())
@@ -210,14 +210,14 @@ def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: F
 def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty, one per kind of error, from errors that the adjustment estimates with a prior.
 
-    `point_derivatives` (errors, coordinates) [m] are the derivatives of the coordinates with respect to the whitened
-    prior values of these errors; the errors of additional effects, which the model corrects, come first.
+    `point_derivatives` (errors, coordinates) [m] are the derivatives of the coordinates by the whitened prior values of
+    these errors. The errors of additional effects, which the model corrects, come first.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_prior_sigmas[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
     if at:
-        reached[CORRECTED_ERRORS_SOURCE] = [point_derivatives[:at].T]
+        reached[CORRECTED_ERRORS_SOURCE_NAME] = [point_derivatives[:at].T]
     for error in model.nuisance_errors:
         count = len(error.parameters)
         reached.setdefault(error.parameters[0].description, []).append(point_derivatives[at : at + count].T)
@@ -226,11 +226,11 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
 
 
 def smr_radius_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
-    """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
+    """Sources of uncertainty from the radii of SMRs with a declared standard deviation, one for each SMR.
 
     All pointings with an SMR share the error of its radius, which acts along the normals of the nests.
-    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
-    whitened observations.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
+    observations.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
     rows, columns = np.nonzero(problem.is_used_reading)
@@ -249,7 +249,7 @@ def smr_radius_uncertainty_sources(adjustment: Adjustment, point_derivatives: Fl
 
 
 def _air_uncertainty_without_declared_effects(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
-    """Uncertainty of the air for a budget, without the properties for which a task declares an effect."""
+    """Uncertainty of the air for a budget, without the properties that a type B effect of the task file describes."""
     declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
     air = tasks.air or adjustment.recording.setup.air or AirUncertainty()
@@ -261,27 +261,32 @@ def air_uncertainty_sources(
 ) -> list[UncertaintySource]:
     """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence.
 
-    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
-    whitened observations.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
+    observations.
     """
     responses = displacements_by_air_error(adjustment, point_derivatives, air_uncertainty)
-    return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
+    return [UncertaintySource(name, "B", _with_fewer_variables(response)) for name, response in responses.items()]
 
 
-def _reduce_variates(variate_response: Floats) -> Floats:
-    """Displacements [m] with the same covariance by at most as many independent random variables as coordinates.
+def _with_fewer_variables(displacements_per_variable: Floats) -> Floats:
+    """Displacements with the same covariance by fewer random variables: at most as many as there are coordinates.
 
-    `variate_response` (coordinates, random variables) holds the displacements [m] by one standard deviation of each
-    random variable.
+    `displacements_per_variable` (coordinates, random variables) holds the displacements [m] by one standard deviation
+    of each random variable.
     """
-    if variate_response.shape[1] <= variate_response.shape[0]:
-        return variate_response
-    return np.asarray(np.linalg.qr(variate_response.T, mode="r")).T
+    if displacements_per_variable.shape[1] <= displacements_per_variable.shape[0]:
+        return displacements_per_variable
+    return np.asarray(np.linalg.qr(displacements_per_variable.T, mode="r")).T
 
 
 def _type_b_source(
     adjustment: Adjustment, point_derivatives: Floats, type_b_entry: TypeBEffect, entry_number: int
 ) -> UncertaintySource:
+    """Source of uncertainty from an effect of the task file (type B); raises InputError for an invalid entry.
+
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
+    observations. `entry_number` counts the entries of the task file from 1.
+    """
     effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
     sigma = sizes * SIGMA_PER_SIZE_BY_DISTRIBUTION[type_b_entry.distribution]
     problem = adjustment.problem
@@ -308,7 +313,7 @@ def _type_b_source(
 
 
 def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_number: int) -> tuple[Effect, Floats]:
-    """Effect of an entry in the task file, and the sizes of its parameters, shape (parameters,) [SI]."""
+    """Effect of an entry of the task file, and sizes (parameters,) [SI] of its parameters."""
     try:
         effect = make_effect(
             type_b_entry.effect,
@@ -340,7 +345,7 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
 
 
 def _group_of_pointing(recording: Recording, draw_scope: str) -> Ints:
-    """Group number of each pointing, shape (pointings,); the pointings of a group share one random draw.
+    """Group number (pointings,) of each pointing; the pointings of a group share one random draw.
 
     `draw_scope` is the entry `draw_shared_by` of the task file: `all`, `station`, `instrument`, `target` or `pointing`.
     """

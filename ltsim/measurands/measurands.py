@@ -1,4 +1,4 @@
-"""Measurands: results of each kind of task in SI units as functions of points, for one or many sets of points."""
+"""Measurands: results of each kind of task in SI units, as functions of one or many sets of points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,45 +14,50 @@ from ltsim.geometry.rigid import align_with_scale
 from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
 
-DIFFERENCE_STEP = 1e-5
-"""Step [m] of central differences to either side; errors from rounding and curvature are far below a nanometre."""
+CENTRAL_DIFFERENCE_STEP = 1e-5
+"""Step [m] to each side in central differences; errors from rounding and curvature are far below a nanometre."""
 
 
 @dataclass(frozen=True)
 class TaskOutput:
-    """Name and unit of one result of a task."""
+    """Name and unit of one result of a task, such as `x` in mm."""
 
     name: str
     """Name of the result."""
     unit: str
-    """Display unit of the result."""
+    """Unit in which the result is displayed."""
     si_per_unit: float
-    """Value of the display unit in SI units."""
+    """Size of the display unit in SI units."""
 
 
 def _outputs_in_mm(*names: str) -> list[TaskOutput]:
+    """Outputs with these names and the unit mm."""
     return [TaskOutput(name, "mm", MILLIMETRE) for name in names]
 
 
 def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
+    """Outputs with these names and the unit degree."""
     return [TaskOutput(name, "deg", DEGREE) for name in names]
 
 
 @dataclass(frozen=True)
 class Measurand(ValueEquality):
-    """Task as a function that computes its results from the points of a network."""
+    """Function that computes the results of a task from the points of a network."""
 
     task: Task
-    """Task with its targets and options."""
+    """Task of the task file, with its targets and options."""
     target_indices: Ints
-    """Indices of the task's targets among the points of the network."""
+    """Indices of the targets of the task among the points of the network."""
     reference_feature: FittedFeature | None = field(default=None, repr=False)
-    """Feature fitted to the estimated points: start of the fits to other points, and reference for the signs of
-    directions."""
+    """Feature fitted to the estimated points, or None. Fits to other points start from it, and signs of directions are
+    those of its direction."""
 
     @classmethod
     def from_task(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
-        """Measurand of a task in a network with the targets `targets` at the estimated points (targets, 3) [m]."""
+        """Measurand of a task in a network with the target names `targets` and the estimated points (targets, 3) [m].
+
+        Raises ModelError if the points do not determine the results of the task.
+        """
         for name in task.targets:
             if name not in targets:
                 raise unknown_name_error("target", name, targets)
@@ -61,7 +66,7 @@ class Measurand(ValueEquality):
         if undetermined:
             raise ModelError(f"task {task.name}: the readings do not determine target {undetermined[0]}")
         try:
-            near = fit_feature(task.kind, points[target_indices]) if task.kind in _FEATURE_OUTPUTS else None
+            near = fit_feature(task.kind, points[target_indices]) if task.kind in _QUANTITIES_BY_FEATURE else None
             measurand = cls(task, target_indices, near)
             measurand.values(points)
         except (ModelError, NetworkError) as problem:
@@ -75,7 +80,7 @@ class Measurand(ValueEquality):
 
     @property
     def outputs(self) -> list[TaskOutput]:
-        """Names and units of the results of the task, in their order."""
+        """Name and unit of each result of the task, in the order of the results."""
         kind = self.task.kind
         if kind in _OUTPUTS_BY_TASK_KIND:
             return _OUTPUTS_BY_TASK_KIND[kind]
@@ -87,10 +92,10 @@ class Measurand(ValueEquality):
         return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
     def values(self, points: Floats, length_ratio: Floats | float = 1.0) -> Floats:
-        """Results (..., results) [SI] for sets of points (..., points, 3) [m].
+        """Results (..., results) [SI] of the task for sets of points (..., points, 3) [m].
 
-        Each set is shrunk about its centroid by its `length_ratio`: ratio of the part's length in the measurement to
-        its length at the reference temperature.
+        Each set is first divided by its `length_ratio` about its centroid. This is the length of the part in the
+        measurement divided by its length at the reference temperature.
         """
         scaled_points = points[..., self.target_indices, :]
         centre = scaled_points.mean(axis=-2, keepdims=True)
@@ -106,33 +111,40 @@ class Measurand(ValueEquality):
             return np.linalg.norm(scaled_points[..., 1, :] - scaled_points[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
             return _angle_of_points(scaled_points)[..., None]
-        if kind in _FEATURE_OUTPUTS:
+        if kind in _QUANTITIES_BY_FEATURE:
             return self._feature_values(scaled_points)
-        return self._fit(scaled_points)
+        return self._alignment_values(scaled_points)
 
     def point_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
-        """Derivative of the results with respect to the points' coordinates, shape (results, coordinates).
+        """Derivatives (results, coordinates) of the results by the coordinates of the points (points, 3) [m].
 
-        It is computed by central differences. `length_ratio` is the ratio of the part's length in the measurement to
+        They are computed by central differences. `length_ratio` is the length of the part in the measurement divided by
         its length at the reference temperature.
         """
         n_coordinates = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * n_coordinates, points.size))
-        steps[np.arange(n_coordinates), columns] = DIFFERENCE_STEP
-        steps[n_coordinates + np.arange(n_coordinates), columns] = -DIFFERENCE_STEP
+        steps[np.arange(n_coordinates), columns] = CENTRAL_DIFFERENCE_STEP
+        steps[n_coordinates + np.arange(n_coordinates), columns] = -CENTRAL_DIFFERENCE_STEP
         stepped_values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), length_ratio)
         change = np.zeros((stepped_values.shape[1], points.size))
-        change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
+        change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (
+            2 * CENTRAL_DIFFERENCE_STEP
+        )
         return change
 
     def length_ratio_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
-        """Derivative of the results with respect to the thermal length ratio of the part, shape (results,) [SI]."""
-        scales = np.array([length_ratio + DIFFERENCE_STEP, length_ratio - DIFFERENCE_STEP])
+        """Derivatives (results,) [SI] of the results by the length ratio of the part.
+
+        The length ratio is the length of the part in the measurement divided by its length at the reference
+        temperature.
+        """
+        scales = np.array([length_ratio + CENTRAL_DIFFERENCE_STEP, length_ratio - CENTRAL_DIFFERENCE_STEP])
         stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
-        return (stepped_values[0] - stepped_values[1]) / (2 * DIFFERENCE_STEP)
+        return (stepped_values[0] - stepped_values[1]) / (2 * CENTRAL_DIFFERENCE_STEP)
 
     def _feature_values(self, feature_points: Floats) -> Floats:
+        """Results (..., results) [SI] of a task that fits a feature to points (..., points, 3) [m]."""
         task, near = self.task, self.reference_feature
         feature = fit_feature(task.kind, feature_points, near)
         normal = feature.direction
@@ -148,9 +160,10 @@ class Measurand(ValueEquality):
             "form": form[..., None],
             "offset": np.einsum("...i,...i->...", normal, feature.reference_point)[..., None],
         }
-        return np.concatenate([values_by_quantity[name] for name in _FEATURE_OUTPUTS[task.kind]], axis=-1)
+        return np.concatenate([values_by_quantity[name] for name in _QUANTITIES_BY_FEATURE[task.kind]], axis=-1)
 
-    def _fit(self, feature_points: Floats) -> Floats:
+    def _alignment_values(self, feature_points: Floats) -> Floats:
+        """Results (..., results) [SI] of a transformation, pose or deviation, from points (..., points, 3) [m]."""
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.align:
@@ -169,6 +182,7 @@ class Measurand(ValueEquality):
 
 
 def _angle_of_points(three_points: Floats) -> Floats:
+    """Angle [rad] at the second of three points (..., 3, 3) between the directions to the first and the third."""
     first, second = three_points[..., 0, :] - three_points[..., 1, :], three_points[..., 2, :] - three_points[..., 1, :]
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
@@ -177,21 +191,21 @@ def _angle_of_points(three_points: Floats) -> Floats:
 
 
 def _difference_components(difference_vectors: Floats) -> Floats:
-    """Components x, y, z and length [m] of difference vectors (..., vectors, 3), along one axis (..., 4 * vectors)."""
+    """Components x, y, z and length [m] of each of n difference vectors (..., n, 3), in one row (..., 4 n)."""
     differences = np.concatenate(
         [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
     )
     return differences.reshape(*difference_vectors.shape[:-2], -1)
 
 
-_FEATURE_OUTPUTS = {
+_QUANTITIES_BY_FEATURE = {
     "line": ("normal", "form"),
     "plane": ("normal", "offset", "form"),
     "circle": ("centre", "diameter", "normal", "form"),
     "sphere": ("centre", "diameter", "form"),
     "cylinder": ("normal", "diameter", "form"),
 }
-"""Names of the quantities that a task reports for each kind of feature."""
+"""Names of the quantities that a task reports, by kind of feature."""
 _DIRECTION_OUTPUTS = [TaskOutput(f"direction-{axis}", "", 1.0) for axis in "xyz"]
 """Results of a task for the components of a unit vector along a line or axis."""
 _NORMAL_OUTPUTS = [TaskOutput(f"normal-{axis}", "", 1.0) for axis in "xyz"]
@@ -207,4 +221,4 @@ _OUTPUTS_BY_TASK_KIND = {
     "sphere": _outputs_in_mm("x", "y", "z", "diameter", "sphericity"),
     "cylinder": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("diameter", "cylindricity")],
 }
-"""Results of each kind of task whose results do not depend on its targets."""
+"""Results of a task, by kind of task, for the kinds whose results do not depend on the targets."""

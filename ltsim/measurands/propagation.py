@@ -1,4 +1,4 @@
-"""Propagation of uncertainty to first order (JCGM 100, 102), and by Monte Carlo (JCGM 101, clauses 7 and 8).
+"""Uncertainty of results by first-order propagation (JCGM 100, 102) and by Monte Carlo (JCGM 101, clauses 7, 8).
 
 In the Monte Carlo simulation each source of uncertainty is drawn from its distribution with a separate random stream,
 the points are displaced accordingly, and the tasks are evaluated exactly. The linearised tasks are evaluated with the
@@ -6,8 +6,8 @@ same draws. The distribution of the linearised results is known exactly, because
 The simulation therefore only estimates the difference between exact and linearised results (control variate). This
 needs few trials for a nearly linear task and none for a linear one.
 
-Batches of trials are added until the numerical error is a fifth of the numerical tolerance, as the comparison with the
-interval by propagation requires (clause 8.2).
+Batches of trials are added until the numerical error is a fifth of the numerical tolerance, as clause 8.2 requires for
+the comparison with the interval by propagation.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from ltsim.core.limits import MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS
 from ltsim.core.randomness import random_stream
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.expansion import ThermalExpansion
-from ltsim.measurands.inputs import STREAM_KEY_BY_SOURCE, TaskInputs
+from ltsim.measurands.inputs import RANDOM_STREAM_KEY_BY_SOURCE, TaskInputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarloSettings, PartExpansion
 from ltsim.recordings.coordinates import EpochCoordinates
@@ -32,12 +32,15 @@ from ltsim.recordings.coordinates import EpochCoordinates
 N_NONLINEARITY_DRAWS = 8
 """Number of random draws of errors with which the exact and the linearised adjustment are compared."""
 MAX_NONLINEARITY_RATIO = 0.05
-"""Difference of a result between the exact and the linearised adjustment, divided by its standard uncertainty, above
-which a warning is given."""
+"""Largest difference of a result between the exact and the linearised adjustment, divided by its standard uncertainty,
+for which no warning is given."""
 
 
 def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
-    """Thermal expansion of the part from the reference temperature to its temperature in the measurement."""
+    """Thermal expansion of a part from the reference temperature to its temperature in the measurement.
+
+    It is zero if the task file declares no expansion.
+    """
     if declared_expansion is None:
         return ThermalExpansion()
     kelvin = declared_expansion.measured_c - declared_expansion.reference_c
@@ -50,7 +53,10 @@ def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> Therm
 
 
 def length_ratio_sigmas(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
-    """Name of each error of the part's thermal expansion, and change of the length ratio by its standard deviation."""
+    """Name of each error of a part's thermal expansion, and standard deviation of the length ratio from this error.
+
+    The length ratio is the length of the part in the measurement divided by its length at the reference temperature.
+    """
     error_sizes = [
         ("expansion of the part", thermal_expansion.ratio_change_per_coefficient_sigma),
         ("temperature of the part", thermal_expansion.ratio_change_per_temperature_sigma),
@@ -60,43 +66,44 @@ def length_ratio_sigmas(thermal_expansion: ThermalExpansion) -> list[tuple[str, 
 
 @dataclass(frozen=True)
 class LinearUncertainty(ValueEquality):
-    """Results of all tasks, with their uncertainty by the law of propagation."""
+    """Results of all tasks, with their uncertainty by the law of propagation (GUM)."""
 
-    values: Floats
+    result_values: Floats
     """Results of all tasks in their order, shape (results,) [SI]."""
     covariance: Floats
     """Covariance of the results, shape (results, results) [SI]."""
     variance_by_source: dict[str, Floats]
-    """Variance of each result from each source, shape (results,) [SI], by the name of the source; the sum over the
+    """Variance (results,) [SI] of each result from each source of uncertainty, by name of the source. The sum over the
     sources is the total variance."""
     evaluation_types: dict[str, Literal["A", "B"]]
-    """Type of evaluation (GUM) of each source, ``A`` or ``B``, by the name of the source."""
+    """Type of evaluation (GUM) of each source of uncertainty, ``A`` or ``B``, by name of the source."""
     point_derivatives: Floats
-    """Derivative of the results with respect to the coordinates of the points, shape (results, coordinates) [SI]."""
+    """Derivatives (results, coordinates) [SI] of the results by the coordinates of the points."""
     length_ratio_derivatives: Floats
-    """Derivative of each result with respect to the thermal length ratio of the part, shape (results,) [SI]."""
+    """Derivatives (results,) [SI] of the results by the length ratio of the part (length in the measurement divided by
+    length at the reference temperature)."""
 
     @property
-    def sigma(self) -> Floats:
+    def standard_uncertainties(self) -> Floats:
         """Standard uncertainty of each result, shape (results,) [SI]."""
         return np.sqrt(np.diag(self.covariance))
 
     def expanded_uncertainty(self, coverage_probability: float) -> Floats:
-        """Expanded uncertainty (results,) [SI] for a coverage probability, if the results are normally distributed."""
-        return float(special.ndtri(0.5 + coverage_probability / 2)) * self.sigma
+        """Expanded uncertainty (results,) [SI] for a coverage probability, for normally distributed results."""
+        return float(special.ndtri(0.5 + coverage_probability / 2)) * self.standard_uncertainties
 
     @property
     def correlation(self) -> Floats:
         """Correlation matrix of the results, shape (results, results); NaN for a result without uncertainty."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
+            correlation: Floats = self.covariance / np.outer(self.standard_uncertainties, self.standard_uncertainties)
         return correlation
 
 
 def propagate(
     task_inputs: TaskInputs, measurands: Sequence[Measurand], thermal_expansion: ThermalExpansion
 ) -> LinearUncertainty:
-    """Results of all tasks, and their uncertainty by first-order propagation through adjustment and tasks."""
+    """Results of all tasks, with uncertainty by first-order propagation through adjustment and tasks."""
     points = task_inputs.points
     result_values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
@@ -120,9 +127,9 @@ def propagate(
 
 
 def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
-    """Largest difference of each result between the exact and the linearised adjustment, shape (results,) [SI].
+    """Largest difference (results,) [SI] of each result between the exact and the linearised adjustment.
 
-    Both adjustments are repeated with a few draws of noise from `seed`. The difference is zero for a list of
+    The recording is adjusted again with a few draws of noise from `seed`. The difference is zero for a list of
     coordinates, which has no readings.
     """
     network_or_coordinates = task_inputs.network_or_coordinates
@@ -155,12 +162,12 @@ def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[M
 TRIALS_PER_BATCH = 10_000
 """Number of trials in a batch; the stability of the results is checked after each batch."""
 MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO = 5.0
-"""Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
-101, clause 8.2)."""
-INTEGRATION_STEP = 0.05
-"""Step of the numerical integral over the characteristic function of a result, in units of the inverse standard
-deviation of the result."""
-N_INTEGRATION_STEPS = 40_000
+"""Smallest ratio of the numerical tolerance of a result to its numerical error at which the intervals by propagation
+and Monte Carlo are compared (JCGM 101, clause 8.2)."""
+CHARACTERISTIC_FUNCTION_STEP = 0.05
+"""Step of the numerical integral over the characteristic function of a result, in units of 1 / (standard deviation of
+the result)."""
+N_CHARACTERISTIC_FUNCTION_STEPS = 40_000
 """Number of steps of the numerical integral over the characteristic function of a result."""
 CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
@@ -174,38 +181,40 @@ CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
 class MonteCarloUncertainty(ValueEquality):
     """Distribution of each result by Monte Carlo simulation, in SI units."""
 
-    values: Floats
-    """Results of all trials, shape (trials, results)."""
+    trial_results: Floats
+    """Results [SI] of all trials, shape (trials, results)."""
     means: Floats
-    """Mean of each result, shape (results,)."""
-    sigmas: Floats
-    """Standard deviation of each result, shape (results,)."""
+    """Mean of each result over the trials, shape (results,)."""
+    standard_uncertainties: Floats
+    """Standard deviation of each result over the trials, shape (results,)."""
     symmetric_intervals: Floats
     """Limits of the probabilistically symmetric coverage interval of each result, shape (results, 2)."""
     shortest_intervals: Floats
     """Limits of the shortest coverage interval of each result, shape (results, 2)."""
     numerical_errors: Floats
-    """Numerical error of the limits of each symmetric interval, shape (results,): two standard deviations of the
-    limits, because the number of trials is finite."""
+    """Numerical error (results,) of the limits of each symmetric interval: two standard deviations, since the number of
+    trials is finite."""
     is_stable: Bools
-    """Mask (results,) of the results that are stable to the requested number of digits."""
+    """Mask (results,): True for a result that is stable to the requested number of digits."""
     numerical_tolerances: Floats
     """Numerical tolerance of each result, shape (results,): half a unit in the last requested digit of its standard
     uncertainty (JCGM 101, clause 7.9.2)."""
 
     @property
     def n_trials(self) -> int:
-        """Number of trials."""
-        return len(self.values)
+        """Number of Monte Carlo trials."""
+        return len(self.trial_results)
 
     def intervals_agree(self, linear_uncertainty: LinearUncertainty, coverage_probability: float) -> Bools:
-        """Mask (results,) of the results whose intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8).
+        """Mask (results,): True if a result's intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8).
 
         The limits may differ by the numerical tolerance plus the numerical error, which is at most a fifth of the
         tolerance for stable results.
         """
         expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
-        limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
+        limits = np.stack(
+            [linear_uncertainty.result_values - expanded, linear_uncertainty.result_values + expanded], axis=1
+        )
         allowed = self.numerical_tolerances + self.numerical_errors
         return np.all(np.abs(limits - self.symmetric_intervals) <= allowed[:, None], axis=1)
 
@@ -217,28 +226,30 @@ def run_monte_carlo(
     monte_carlo_settings: MonteCarloSettings,
     linear_uncertainty: LinearUncertainty,
 ) -> MonteCarloUncertainty:
-    """Distribution of the results by Monte Carlo trials.
+    """Distribution of the results of all tasks by Monte Carlo trials.
 
     Trials are added until the numerical error of each result is a fifth of its numerical tolerance, or until the
-    largest number of trials in `monte_carlo_settings` is reached.
+    largest number of trials in `monte_carlo_settings` is reached. `linear_uncertainty` is the result of `propagate`.
     """
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage_probability)
     samples: list[Floats] = []
     figures: list[Floats] = []
     max_trials = min(
-        monte_carlo_settings.max_trials, MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values)
+        monte_carlo_settings.max_trials, MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS // len(linear_uncertainty.result_values)
     )
     max_batches = max(max_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
-        linear_uncertainty.sigma > 0
+        linear_uncertainty.standard_uncertainties > 0
     )  # half a unit in the last digit of each standard uncertainty (JCGM 101, clause 7.9.2)
-    power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
+    power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.standard_uncertainties, 1.0))) - (
+        monte_carlo_settings.digits - 1
+    )
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
-    error = np.full((4, len(linear_uncertainty.values)), np.inf)
+    error = np.full((4, len(linear_uncertainty.result_values)), np.inf)
     while len(samples) < max_batches and not np.all(MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
         shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
         by_line = (
-            linear_uncertainty.values
+            linear_uncertainty.result_values
             + shift @ linear_uncertainty.point_derivatives.T
             + np.outer(grown, linear_uncertainty.length_ratio_derivatives)
         )
@@ -253,9 +264,9 @@ def run_monte_carlo(
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
     all_results = np.concatenate(samples)
     return MonteCarloUncertainty(
-        values=all_results,
+        trial_results=all_results,
         means=mean,
-        sigmas=sigma,
+        standard_uncertainties=sigma,
         symmetric_intervals=np.stack([low, high], axis=1),
         shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage_probability),
         numerical_errors=error[2:].max(axis=0),
@@ -267,11 +278,14 @@ def run_monte_carlo(
 def _draw_errors(
     task_inputs: TaskInputs, thermal_expansion: ThermalExpansion, seed: int, batch_number: int
 ) -> tuple[Floats, Floats]:
-    """Random draws of one batch: errors of coordinates (trials, coordinates) [m] and of length ratios (trials,)."""
+    """Random errors of one batch: of the coordinates (trials, coordinates) [m], and of the length ratio (trials,).
+
+    `batch_number` and `seed` determine the draws.
+    """
     shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
     for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.displacements_per_sigma.shape[1]
-        key = STREAM_KEY_BY_SOURCE.get(source.name, source.name)
+        key = RANDOM_STREAM_KEY_BY_SOURCE.get(source.name, source.name)
         rng = random_stream(seed, "uncertainty", key, i, batch_number)
         shift += draw_variates(rng, source.distribution, shape) @ source.displacements_per_sigma.T
     grown = np.zeros(TRIALS_PER_BATCH)
@@ -281,9 +295,10 @@ def _draw_errors(
 
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, length_ratio: Floats) -> Floats:
-    """Results (trials, results) [SI] for points (trials, points, 3) [m] of a part.
+    """Results (trials, results) [SI] of all tasks for the points (trials, points, 3) [m] of a part.
 
-    `length_ratio` (trials,) is the thermal length ratio of the part.
+    `length_ratio` (trials,) is the length of the part in the measurement divided by its length at the reference
+    temperature.
     """
     pieces = list(batches(len(points), points[0].size))
     result_rows = [np.concatenate([m.values(points[p], length_ratio[p]) for m in measurands], axis=1) for p in pieces]
@@ -293,9 +308,9 @@ def _evaluate_results(measurands: Sequence[Measurand], points: Floats, length_ra
 def _linear_statistics(
     task_inputs: TaskInputs, linear_uncertainty: LinearUncertainty, coverage_probability: float
 ) -> Floats:
-    """Mean, standard deviation and interval limits of each linearised result, shape (4, results) [SI].
+    """Mean, standard deviation and two interval limits of each linearised result, shape (4, results) [SI].
 
-    The four numbers are computed from the exact distribution, without random draws.
+    They are computed from the exact distribution, without random draws.
     """
     others = [
         (s.distribution, linear_uncertainty.point_derivatives @ s.displacements_per_sigma)
@@ -305,15 +320,15 @@ def _linear_statistics(
     half_widths = np.array(
         [
             _coverage_half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage_probability)
-            for i, sigma in enumerate(linear_uncertainty.sigma)
+            for i, sigma in enumerate(linear_uncertainty.standard_uncertainties)
         ]
     )
     return np.stack(
         [
-            linear_uncertainty.values,
-            linear_uncertainty.sigma,
-            linear_uncertainty.values - half_widths,
-            linear_uncertainty.values + half_widths,
+            linear_uncertainty.result_values,
+            linear_uncertainty.standard_uncertainties,
+            linear_uncertainty.result_values - half_widths,
+            linear_uncertainty.result_values + half_widths,
         ]
     )
 
@@ -324,13 +339,13 @@ def _coverage_half_width(
     """Half-width of the coverage interval of a sum of independent symmetric random variables.
 
     `total_sigma` is the standard deviation of the sum. `other_distributions` holds the name of each distribution that
-    is not normal, and the standard deviations of the variables with it; the rest of the variance is normal. The
-    characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
+    is not normal, and the standard deviations of the variables with this distribution. The remaining variance is
+    normal. The characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
     if total_sigma == 0 or independent <= SQRT_MACHINE_EPSILON * total_sigma**2:
         return float(special.ndtri(0.5 + coverage_probability / 2)) * total_sigma
-    frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
+    frequencies = CHARACTERISTIC_FUNCTION_STEP * (np.arange(N_CHARACTERISTIC_FUNCTION_STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / total_sigma**2, 0.0) * frequencies**2)
     for name, sizes in other_distributions:
         for size in np.abs(sizes[sizes != 0]) / total_sigma:
@@ -338,7 +353,9 @@ def _coverage_half_width(
 
     def excess(width: float) -> float:
         return (
-            float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping))
+            float(
+                2.0 / np.pi * CHARACTERISTIC_FUNCTION_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping)
+            )
             - coverage_probability
         )
 
@@ -348,7 +365,7 @@ def _coverage_half_width(
 def draw_variates(
     random_generator: np.random.Generator, distribution_name: str, array_shape: tuple[int, ...]
 ) -> Floats:
-    """Random draws of the shape `array_shape` from the distribution `distribution_name`, with mean 0 and variance 1."""
+    """Random draws with mean 0 and variance 1 from the distribution with this name, in an array of `array_shape`."""
     if distribution_name == "rectangular":
         return random_generator.uniform(-np.sqrt(3.0), np.sqrt(3.0), array_shape)
     if distribution_name == "triangular":
@@ -359,7 +376,7 @@ def draw_variates(
 
 
 def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Mean, standard deviation and limits of the symmetric interval of each result in one batch, (4, results) [SI].
+    """Mean, standard deviation and two limits of the symmetric interval of each result in a batch, (4, results) [SI].
 
     `trial_results` has the shape (trials, results).
     """
@@ -369,7 +386,7 @@ def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Flo
 
 
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Limits (results, 2) of the shortest coverage interval of each result, JCGM 101, clause 7.7.
+    """Limits (results, 2) of the shortest coverage interval of each result (JCGM 101, clause 7.7).
 
     `trial_results` has the shape (trials, results).
     """

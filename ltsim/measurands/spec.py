@@ -1,4 +1,4 @@
-"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that are not visible in the readings."""
+"""Content of a task file (ltsim-tasks/1): measurands, tolerances, and errors that are not visible in the readings."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -32,20 +32,20 @@ TaskKind = Literal[
 ]
 """Kind of measurand of a task."""
 NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
-"""Names, at least one."""
+"""Tuple of at least one name."""
 CoverageProbability = Annotated[float, Field(gt=0.5, lt=1.0)]
 """Coverage probability, above 0.5 and below 1."""
 N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
-"""Number of targets of a task, for the kinds of task that need a fixed number."""
+"""Number of targets of a task, by kind, for the kinds of task that need a fixed number."""
 
 
 class ToleranceLimits(TomlSection):
-    """Tolerance limits of one result of a task, in the unit of the result; one of the two limits may be missing."""
+    """Tolerance limits of one result of a task, in the unit of the result; one limit may be missing."""
 
     lower: Finite | None = None
-    """Lower tolerance limit."""
+    """Lower tolerance limit, in the unit of the result; none if missing."""
     upper: Finite | None = None
-    """Upper tolerance limit."""
+    """Upper tolerance limit, in the unit of the result; none if missing."""
 
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
@@ -59,11 +59,11 @@ class ToleranceLimits(TomlSection):
 class Task(TomlSection):
     """Task: a measurand and its targets.
 
-    `point` gives the coordinates of a target, `rod` the coordinates of a hidden point at the tip of a rod with two
-    reflectors. `distance` takes two targets, `angle` three, with the vertex as second. Features are fitted by least
-    squares. `transformation` and `pose` align `nominal_mm` to the targets by least squares; the results of `pose` are
-    position and rotation of a part. `deviation` compares each target with its nominal point, after this alignment or
-    (``align = false``) without it.
+    `point` gives the coordinates of a target, `rod` those of a hidden point at the tip of a rod with two reflectors.
+    `distance` takes two targets, `angle` three, with the vertex as second. Features are fitted by least squares.
+    `transformation` and `pose` align `nominal_mm` to the targets by least squares; the results of `pose` are position
+    and rotation of a part. `deviation` compares each target with its nominal point, after this alignment or (``align =
+    false``) without it.
     """
 
     name: str
@@ -73,17 +73,17 @@ class Task(TomlSection):
     targets: NonEmptyNames
     """Names of the targets, in the order that the kind requires."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
-    """Nominal points by target, for `transformation`, `pose` and `deviation`."""
+    """Nominal coordinates [mm] of each target, by name, for `transformation`, `pose` and `deviation`."""
     align: bool = True
-    """True if nominal points and targets are aligned before deviations are computed."""
+    """True if nominal points are aligned to the targets before deviations are computed."""
     align_with_scale: bool = False
-    """True if the alignment includes a scale."""
+    """True if the alignment of nominal points to targets also estimates a scale."""
     tip_distance_mm: Finite = 0.0
-    """Distance from the second reflector of a rod to the tip of the rod."""
+    """Distance [mm] from the second reflector of a rod to the tip of the rod."""
     radius_offset_mm: Finite = 0.0
-    """Length that is added to the fitted radius of a circle, sphere or cylinder, such as the SMR radius."""
+    """Length [mm] that is added to the fitted radius of a circle, sphere or cylinder, such as the SMR radius."""
     tolerances: dict[str, ToleranceLimits] = Field(default_factory=dict)
-    """Tolerance limits by name of the result, tables `[task.tolerances.RESULT]`."""
+    """Tolerance limits of each result by name, in tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
     def _check_targets(self) -> Self:
@@ -102,7 +102,7 @@ class Task(TomlSection):
 
 
 class TypeBEffect(TomlSection):
-    """Effect that is not visible in the readings, with the distribution of its parameters.
+    """Effect that is not visible in the readings, with the distribution of its parameters (type B uncertainty).
 
     Parameters of the effect without an entry in `sizes` have their plausible size as standard deviation.
     """
@@ -110,35 +110,36 @@ class TypeBEffect(TomlSection):
     effect: str
     """Name of the effect, as listed by `ltsim effects`."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
-    """Distribution of the effect's parameters."""
+    """Distribution of the parameters of the effect."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviation (half-width, if the distribution is not normal) of the effect's parameters by name, in display
-    units."""
+    """Standard deviation (half-width, if the distribution is not normal) of each parameter of the effect, by name, in
+    display units."""
     draw_shared_by: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
+    """Pointings that share one random draw of the parameters: all, those of one station, instrument or target, or each
+    pointing alone."""
     stations: DistinctValues[str] = ()
     """Names of the stations where the effect acts; empty for all."""
     targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Fixed constants of the effect's formula by name, such as a time constant, as in a scenario."""
+    """Shape parameters of the effect (period, time constant, onset time) by name, as in a scenario."""
     name: str = ""
-    """Name of this source in the budget; default the name of the effect."""
+    """Name of this source of uncertainty in the budget; default the name of the effect."""
 
 
 class PartExpansion(TomlSection):
     """Thermal expansion of the part from the reference temperature `reference_c` to its temperature `measured_c`."""
 
     expansion_per_k: Finite
-    """Coefficient of thermal expansion of the part."""
+    """Coefficient of thermal expansion of the part [1/K]."""
     sigma_expansion_per_k: NonNegative = 0.0
-    """Standard deviation of the coefficient of expansion."""
+    """Standard deviation of the coefficient of thermal expansion [1/K]."""
     measured_c: Finite = 20.0
-    """Temperature of the part during the measurement."""
+    """Temperature of the part during the measurement [deg C]."""
     sigma_temperature_k: NonNegative = 0.0
-    """Standard deviation of the temperature of the part."""
+    """Standard deviation of the temperature of the part [K]."""
     reference_c: Finite = 20.0
-    """Reference temperature, to which the results are converted."""
+    """Reference temperature [deg C], to which the results are converted."""
 
 
 class MonteCarloSettings(TomlSection):
@@ -149,7 +150,7 @@ class MonteCarloSettings(TomlSection):
     digits: Annotated[int, Field(ge=1, le=2)] = 2
     """Number of significant digits of the standard uncertainty to which the results must be stable."""
     max_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
-    """Largest number of trials."""
+    """Largest number of Monte Carlo trials."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random draws."""
 
@@ -158,7 +159,8 @@ class DecisionRule(TomlSection):
     """Rule for the decision on conformity with a tolerance (JCGM 106)."""
 
     rule: Literal["guarded", "simple"] = "guarded"
-    """Acceptance limits: tolerance limits reduced by a guard band (`guarded`), or the tolerance limits (`simple`)."""
+    """Rule for the acceptance limits: tolerance limits reduced by a guard band (`guarded`), or the tolerance limits
+    themselves (`simple`)."""
     consumer_risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
     """Permitted probability that an accepted result does not conform; it determines the guard band."""
 
@@ -169,28 +171,28 @@ class Tasks(TomlSection):
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
     """Format and version of this file."""
     title: str = ""
-    """Title, free text."""
+    """Title of the tasks, free text."""
     source: str
-    """Path of the recording or scenario, relative to this file."""
+    """Path of the recording or scenario, relative to the task file."""
     calibrate: bool = True
     """True if the instrument parameters are estimated together with the network."""
     datum: DistinctValues[str] = ()
-    """Targets that define the datum by inner constraints."""
+    """Names of the targets that define the datum by inner constraints; empty for the default datum."""
     robust: bool = False
     """True if outliers among the readings are excluded."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
-    """Tasks, tables `[[task]]`."""
+    """Tasks, in tables `[[task]]`."""
     type_b: Annotated[tuple[TypeBEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
-    """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
+    """Effects that are not visible in the readings (type B uncertainty), in tables `[[type_b]]`."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air for long ranges, without the properties for which `type_b` has an effect; default the
-    recording's table `[air]`."""
+    """Uncertainty of the air, which matters for long ranges, without the properties for which `type_b` has an effect;
+    default the table `[air]` of the recording."""
     part_expansion: PartExpansion | None = None
-    """Thermal expansion of the part from the reference temperature to the measurement."""
+    """Thermal expansion of the part between the reference temperature and its temperature in the measurement."""
     monte_carlo: MonteCarloSettings = MonteCarloSettings()
-    """Options of the Monte Carlo simulation (JCGM 101)."""
+    """Settings of the Monte Carlo simulation (JCGM 101)."""
     decision: DecisionRule = DecisionRule()
-    """Rule of the decision on conformity."""
+    """Rule for the decision on conformity with a tolerance."""
 
     @model_validator(mode="after")
     def _check_unique_names(self) -> Self:
@@ -202,11 +204,11 @@ class Tasks(TomlSection):
 
 
 def load_tasks(path: Path) -> Tasks:
-    """Tasks read from a file; raises InputError."""
+    """Tasks read from a task file; raises InputError."""
     return load_settings(path, Tasks, "task file")
 
 
 def validate_tasks(tables: Mapping[str, Any], file: object) -> Tasks:
-    """Tasks from the tables of a task file after validation; raises InputError, which names `file`."""
+    """Tasks from the tables of a task file, which are checked; raises InputError, which names `file`."""
     with as_input_error():
         return validate_settings(tables, Tasks, "task file", file)

@@ -1,4 +1,4 @@
-"""Result of `uncertainty`, with the content of `uncertainty.json`, and its tables."""
+"""Result of `uncertainty`: content of `uncertainty.json`, and tables."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -19,8 +19,8 @@ RESULTS_TABLE = Table(
     "uncertainty.csv",
     "results of the tasks",
     (
-        *text_columns(task="name", result="name", unit="unit of all numbers in the row"),
-        Column("value", "estimate", csv_format=".9g", uncertainty_column="U"),
+        *text_columns(task="name of the task", result="name of the result", unit="unit of all numbers in the row"),
+        Column("value", "estimate of the result", csv_format=".9g", uncertainty_column="U"),
         Column("u", "standard uncertainty", csv_format=".9g", display_format=".2g"),
         Column("U", "expanded uncertainty for the coverage probability", csv_format=".9g", uncertainty_column="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", csv_format=".9g", display_format=".2g"),
@@ -33,20 +33,22 @@ RESULTS_TABLE = Table(
         ),
     ),
 )
+"""Table uncertainty.csv: results of the tasks with their uncertainty."""
 BUDGET_TABLE = Table(
     "budget.csv",
     "contributions of the sources to the uncertainty of each result",
     (
-        *text_columns(task="name", result="name", source="source of uncertainty"),
+        *text_columns(task="name of the task", result="name of the result", source="source of uncertainty"),
         *text_columns(type="A, B, or not included: an error that changes no reading", unit="unit of u"),
         *number_columns(".6g", share="fraction of the result's variance", u="standard uncertainty from this source"),
     ),
 )
+"""Table budget.csv: contribution of each source to the uncertainty of each result."""
 CONFORMITY_TABLE = Table(
     "conformity.csv",
-    "results against their tolerances (JCGM 106)",
+    "results compared with their tolerances (JCGM 106)",
     (
-        *text_columns(task="name", result="name"),
+        *text_columns(task="name of the task", result="name of the result"),
         Column("lower", "lower limit of the tolerance", n_digits=6),
         Column("upper", "upper limit of the tolerance", n_digits=6),
         Column("guard_band", "difference between a tolerance limit and the acceptance limit", n_digits=6),
@@ -55,25 +57,27 @@ CONFORMITY_TABLE = Table(
         *text_columns(judgement="accepted, rejected or undecided"),
     ),
 )
+"""Table conformity.csv: results with their tolerances and decisions."""
 HIDDEN_ERRORS_TABLE = Table(
     "hidden.csv",
     "undetectable errors that the uncertainty does not include",
     (
-        *text_columns(task="name", result="name", error="description of the error"),
+        *text_columns(task="name of the task", result="name of the result", error="description of the error"),
         Column("change", "change of the result by the error", n_digits=3),
         *text_columns(unit="unit of the change"),
     ),
 )
+"""Table hidden.csv: errors that change results but no reading, so that the uncertainty does not include them."""
 HIDDEN_ERROR_TYPE_TEXT = "not included"
-"""Text in the budget table for an error that is not part of the uncertainty."""
+"""Text in the column `type` of the budget table for an error that the uncertainty does not include."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 """Number that is not negative."""
-MAX_SUMMARY_RESULTS = 8
+MAX_RESULTS_IN_SUMMARY = 8
 """Largest number of results that the printed summary lists."""
 
 
 class MonteCarloDistribution(Entry):
-    """Distribution of a result by Monte Carlo (JCGM 101), in the unit of the result."""
+    """Distribution of a result by Monte Carlo simulation (JCGM 101), in the unit of the result."""
 
     mean: float
     """Mean of the result over the trials."""
@@ -90,14 +94,14 @@ class MonteCarloDistribution(Entry):
 
 
 class BudgetEntry(Entry):
-    """Contribution of one source to the uncertainty of a result."""
+    """Contribution of one source of uncertainty to the uncertainty of a result."""
 
     source: str
     """Name of the source of uncertainty."""
     evaluation_type: Literal["A", "B"]
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
     variance_fraction: float
-    """Fraction of the variance of the result, 0 to 1."""
+    """Fraction (0 to 1) of the variance of the result that comes from this source."""
     standard_uncertainty: NonNegativeFloat
     """Standard uncertainty of the result from this source, in the unit of the result."""
 
@@ -119,44 +123,43 @@ class Conformity(Entry):
     upper: float | None
     """Upper limit of the tolerance."""
     rule: Literal["guarded", "simple"]
-    """Decision rule of the task file."""
+    """Decision rule of the task file: `guarded` (with guard bands) or `simple`."""
     guard_band: float
     """Width of the guard band: distance of the acceptance limit from the tolerance limit, inside the tolerance."""
     conformity_probability: float
     """Probability that the true value lies within the tolerance."""
     judgement: Literal["accepted", "rejected", "undecided"]
     """Decision: `accepted` within the tolerance limits reduced by the guard bands, `rejected` outside the tolerance
-    limits extended by the guard bands, else `undecided`.
-    """
+    limits extended by the guard bands, otherwise `undecided`."""
     wrong_decision_probability: float
     """Probability that the decision is wrong."""
 
 
 class TaskResult(Entry):
-    """Result of a task with its uncertainty; all values are in `unit`."""
+    """Result of a task with its uncertainty; all values are in the unit `unit`."""
 
     task: str
     """Name of the task."""
     kind: str
-    """Kind of task."""
+    """Kind of the task, such as `distance`."""
     name: str
     """Name of the result, such as `x` or `distance`; a task can have several results."""
     unit: str
     """Unit of all values of this entry."""
     value: float
-    """Estimate of the result."""
+    """Estimate of the result, in `unit`."""
     standard_uncertainty: NonNegativeFloat
-    """Standard uncertainty by the GUM's law of propagation."""
+    """Standard uncertainty of the result by the law of propagation (GUM), in `unit`."""
     coverage_factor: float
-    """Coverage factor of the expanded uncertainty."""
+    """Coverage factor: expanded uncertainty divided by standard uncertainty."""
     expanded_uncertainty: NonNegativeFloat
-    """Expanded uncertainty of the result for the coverage probability."""
+    """Expanded uncertainty of the result for the coverage probability, in `unit`."""
     monte_carlo: MonteCarloDistribution
-    """Distribution by Monte Carlo."""
+    """Distribution of the result by Monte Carlo simulation."""
     nonlinearity_ratio: float
-    """Difference of the result between the exact and the linearised adjustment, divided by its standard uncertainty."""
+    """Difference of the result between the exact and the linearised adjustment, divided by the standard uncertainty."""
     budget: tuple[BudgetEntry, ...] = Field(min_length=1)
-    """Contributions of the sources to the uncertainty, the largest first."""
+    """Contributions of the sources of uncertainty, the largest first."""
     hidden_errors: tuple[HiddenErrorEntry, ...] = ()
     """Errors that change the result noticeably but no reading, the largest first; the uncertainty does not include
     them."""
@@ -165,7 +168,7 @@ class TaskResult(Entry):
 
     @property
     def text(self) -> str:
-        """Result with its expanded uncertainty as text, such as `length distance: 1.234 mm, U = 0.020 mm (k = 2)`."""
+        """Text of the result with its expanded uncertainty: `length, distance: 1.234 mm, U = 0.020 mm (k = 2)`."""
         figures = with_expanded_uncertainty(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
         return f"{self.task}, {self.name}: {figures}"
 
@@ -187,7 +190,7 @@ class TaskResult(Entry):
 
 
 class Uncertainty(ResultFile):
-    """Result of `uncertainty` with the content of `uncertainty.json`: results of tasks with their uncertainty."""
+    """Result of `uncertainty`, the content of `uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
@@ -195,31 +198,32 @@ class Uncertainty(ResultFile):
     title: str
     """Title of the tasks, free text."""
     source: str
-    """Name of the recording or scenario."""
+    """Name of the recording or scenario, as in the task file."""
     coverage_probability: float
     """Coverage probability of all intervals."""
     trials: int
     """Number of Monte Carlo trials."""
     frame: str
-    """Description of the frame of all coordinates."""
+    """Description of the coordinate frame of all coordinates."""
     sigma0: OptionalFloat
-    """Square root of chi-square divided by the degrees of freedom of the adjustment; null for a list of coordinates."""
+    """Standard deviation of unit weight: square root of chi-square divided by the degrees of freedom of the adjustment;
+    null for a list of coordinates."""
     results: tuple[TaskResult, ...] = Field(min_length=1)
     """Results of all tasks, one entry for each number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
-    """Correlation matrix of the results, in their order."""
+    """Correlation matrix of the results, in the order of `results`."""
     warnings: tuple[str, ...] = ()
     """Warnings about the validity of the results."""
     uncertainty_factor: float = 1.0
-    """Factor that the uncertainties from the adjustment contain: sigma0 if the readings contradict the model, otherwise
-    1."""
+    """Factor by which the uncertainties from the adjustment are multiplied: sigma0 if the readings contradict the
+    model, otherwise 1."""
     corrections_text: str = ""
-    """Sentence on the errors of the recording that the model corrects; empty for none."""
+    """Sentence on the errors of the recording that the model corrects; empty if it corrects none."""
     tests: tuple[CauseTest, ...] = ()
-    """Tests of the identified causes of a misfit of the recording, and of its outliers."""
+    """Tests of the possible causes of a misfit of the recording, and of its outliers."""
 
     def _lines(self) -> list[str]:
-        lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
+        lines = [r.text for r in self.results[:MAX_RESULTS_IN_SUMMARY]]
         n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage_probability:g} % intervals, {self.trials} trials"
         lines += [f"and {n_more} more: to_dataframe()"] if n_more > 0 else []
@@ -269,8 +273,8 @@ def evaluate_conformity(
 ) -> Conformity:
     """Decision on the conformity of a result with its tolerance.
 
-    The distribution is that of `trial_results` (trials,), by default a normal one with the standard deviation `sigma`.
-    All values are in the unit of the tolerance.
+    The distribution of the result is that of `trial_results` (trials,), by default a normal distribution with the
+    standard deviation `sigma`. All values are in the unit of the tolerance.
 
     References
     ----------
@@ -303,7 +307,7 @@ def evaluate_conformity(
 
 
 def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncertainty) -> list[tuple[str, float]]:
-    """Normalised error E_n of each result that both files contain in the same unit, after its name ``task, result``.
+    """Normalised error E_n of each result that two files contain in the same unit, with its name ``task, result``.
 
     E_n applies to independent results, for example from two recordings or two instruments.
     """
@@ -318,7 +322,7 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
 def normalised_error(
     value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
 ) -> float:
-    """Normalised error E_n of two results: their difference divided by the root sum of squares of their uncertainties.
+    """Normalised error E_n of two results: difference divided by the root sum of squares of their uncertainties.
 
     The uncertainties are expanded uncertainties. The results agree if |E_n| <= 1 (ISO 13528).
     """

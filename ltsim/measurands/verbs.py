@@ -1,4 +1,4 @@
-"""Public functions `uncertainty`, for tasks on measured points, and `compare`, for two epochs."""
+"""Public functions `uncertainty` (tasks on measured points) and `compare` (displacements between two epochs)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -175,7 +175,7 @@ def compare(
 
 
 def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:
-    """List of coordinates, read from the file `source` if this is a path; None for a recording."""
+    """List of coordinates, read from the file `source` if it is the path of such a list; None for a recording."""
     if isinstance(source, EpochCoordinates):
         return source
     return (

@@ -1,11 +1,12 @@
 """Information matrices of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
-Two steps are used, so that a search computes the design of a set-up only once. `NormalBlocks` holds the contribution of
-each of many candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
-blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
+A set-up is a station at a position with a yaw. A search first computes the contribution of each candidate set-up to the
+normal equations once (`NormalBlocks`). `LayoutScorer.evaluate_layouts` then adds the contributions of the set-ups of a
+layout and eliminates targets (3 x 3 blocks) and poses (leading rows of a Cholesky factor). The information on
+parameters of instrument and effects remains.
 
-The Jacobian is that of the geometric error model; all observations that are no readings are those of the adjustment. A
-test compares the results with those of `information.py`, which uses no blocks.
+Readings are linearised by the geometric error model; constraints and priors come from the adjustment. A test compares
+the results with those of `expected_precision.py`, which uses no blocks.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-INTERNAL_LENGTH_UNIT = 1e-5
-"""Unit [m, rad] of poses and targets in the normal equations, so that all columns have a similar norm."""
+NORMAL_EQUATION_LENGTH_UNIT = 1e-5
+"""Unit [m, rad] of poses and targets in the normal equations, chosen so that all columns have a similar norm."""
 
 
 def incidence_error_flags(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Flags (T,) of T targets: 1 if the reflector of a target has `incidence_errors`, otherwise 0.
+    """Flags (T,) of T targets: 1 if the reflector of a target has these errors of incidence, otherwise 0.
 
-    `pointing_targets` (n,) are the indices of the targets of n pointings.
+    `incidence_errors` are errors that depend on the angle of incidence on a reflector. `pointing_targets` (n,) holds
+    the index of the target of each of n pointings.
     """
     indicator = np.zeros(n_targets)
     np.maximum.at(indicator, pointing_targets, incidence_errors.reflector_indicator)
@@ -47,20 +49,20 @@ def incidence_error_flags(incidence_errors: IncidenceErrors, pointing_targets: I
 class LayoutPrecision:
     """Precision of B layouts: information on P parameters after elimination of all other unknowns, and point errors."""
 
-    information: Floats
-    """Information matrices (B, P, P) of B layouts on P parameters of instrument and effects, in units of their prior
+    information_matrices: Floats
+    """Information matrices (B, P, P) of B layouts for P parameters of instrument and effects, in units of their prior
     sigmas; NaN for a layout with an undetermined pose."""
     weighted_target_rms: Floats
-    """Weighted root mean square point error (B,) [m] of the targets of B layouts, with their mean as datum; NaN if not
-    requested, or for an undetermined pose."""
+    """Weighted root mean square point error (B,) [m] of the targets in B layouts, with the mean of the targets as
+    datum; NaN if not requested, or for an undetermined pose."""
 
 
 class LayoutScorer:
-    """Evaluation of many layouts in the same workshop: targets, gauge, noise and priors are fixed, set-ups vary.
+    """Evaluator of many layouts in one workshop: targets, gauge, noise and priors are fixed, set-ups vary.
 
-    `survey` provides everything except the poses of the stations; all layouts have its number of stations. The
-    parameters are those of `construction`, by default the 16 misalignments, and of `effects`, in units of their prior
-    sigma. The information contains the priors of instrument parameters but not of effects.
+    `survey` defines everything except the poses of the stations; all layouts have as many stations as `survey`. The
+    parameters are those of the error model `construction` (default 16 misalignments) and of `effects`, in units of
+    their prior sigmas. The information contains the priors of instrument parameters but not those of effects.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class LayoutScorer:
             full_survey.noise_free_recording(self.construction),
             full_survey.nominal_state(self.construction),
         )
-        # Ranges from the initial positions may determine nothing: only what is common to all layouts is used here.
+        # Ranges from the initial positions may not determine all unknowns: only rows common to all layouts are used.
         problem = (
             Adjustment.from_plan(pointings, state, self.construction).problem
             if survey.records_angles
@@ -93,32 +95,39 @@ class LayoutScorer:
             [np.ones(self._n_nuisances), self.prior_sigma, np.array(effect_sigmas, dtype=np.float64)]
         )
         self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_retained)
-        self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_retained)
+        self.eliminated_target_indices = np.flatnonzero(
+            problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_retained
+        )
         other_rows = problem.linearise(state).design[int(problem.is_used_reading.sum()) :]
         other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
         value_columns = np.concatenate([unknowns.effect_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
-        self._set_shared_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
+        self._store_shared_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.is_recorded_observable
         self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _set_shared_blocks(
+    def _store_shared_blocks(
         self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints
     ) -> None:
-        """Storage of the normal equations of gauge, control points, levels and priors, which all layouts share.
+        """Contributions to the normal equations that all layouts share: gauge, control points, levels, priors.
 
-        `design` is whitened; its columns of T targets (T, 3), S poses (S, 6) and parameters are given by indices.
+        They are stored in the scorer. `design` is the whitened design matrix of these observations. `target_columns`
+        (T, 3), `pose_columns` (S, 6) and `parameter_columns` are the indices of its columns for T targets, S poses and
+        parameters.
         """
         extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
-            design[:, pose_columns.ravel()] * INTERNAL_LENGTH_UNIT,
-            design[:, target_columns[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
+            design[:, pose_columns.ravel()] * NORMAL_EQUATION_LENGTH_UNIT,
+            design[:, target_columns[self._gauge_targets].ravel()] * NORMAL_EQUATION_LENGTH_UNIT,
         ]
         reduced_rows = np.hstack(
             [*front, design[:, parameter_columns] * self.parameter_scales[: len(parameter_columns)], extra]
         )
-        mesh = design[:, target_columns[self.mesh_targets].ravel()].reshape(len(design), -1, 3) * INTERNAL_LENGTH_UNIT
+        mesh = (
+            design[:, target_columns[self.eliminated_target_indices].ravel()].reshape(len(design), -1, 3)
+            * NORMAL_EQUATION_LENGTH_UNIT
+        )
         self._fixed_reduced_block = reduced_rows.T @ reduced_rows
         self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)
         self._fixed_coupling_blocks = np.einsum("mti,mk->tik", mesh, reduced_rows)
@@ -131,7 +140,7 @@ class LayoutScorer:
     def sightings(self, position: Floats, yaw: Floats, station_indices: Ints) -> Sightings:
         """Sightings of every target in each face from N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad].
 
-        `station_indices` (N,) are the indices of the stations that the set-ups replace.
+        `station_indices` (N,) holds the index of the station that each set-up replaces; it defines time and name.
         """
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.target_points)), np.array(survey.faces)
@@ -157,31 +166,31 @@ class LayoutScorer:
             target_names=survey.target_names,
         )
 
-    def whitened_rows(
+    def whitened_derivatives(
         self, position: Floats, yaw: Floats, station_indices: Ints, is_visible: Bools
     ) -> tuple[Floats, Floats]:
         """Whitened derivatives of r readings of each of T targets from N set-ups, by the target and by other unknowns.
 
-        The derivatives by the target are (N, T, r, 3), those by pose and P parameters (N, T, r, 6 + P); they are zero
-        for targets that are not `is_visible` (N, T). The set-ups are at `position` (N, 3) [m] with `yaw` (N,) [rad] and
-        replace the stations `station_indices` (N,). The computation includes the first station, as some effects depend
-        on time.
+        The set-ups are at `position` (N, 3) [m] with `yaw` (N,) [rad]; `station_indices` (N,) are those of the stations
+        that they replace. The derivatives by the target are (N, T, r, 3), those by the pose followed by P parameters
+        (N, T, r, 6 + P). They are zero where `is_visible` (N, T) is False. The first station is always included in the
+        computation, as some effects depend on the time since its first pointing.
         """
         if self.effects and station_indices.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
             whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, station_indices), strict=True))
-            by_target, by_value = self._derivatives(self.sightings(*whole))
+            by_target, by_value = self._whitened_pointing_derivatives(self.sightings(*whole))
             n_first_rows = len(self.survey.target_points) * len(self.survey.faces)
             by_target, by_value = by_target[n_first_rows:], by_value[n_first_rows:]
         else:
-            by_target, by_value = self._derivatives(self.sightings(position, yaw, station_indices))
+            by_target, by_value = self._whitened_pointing_derivatives(self.sightings(position, yaw, station_indices))
         weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
         shape = (*is_visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
         rotation_rows = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
         return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
-    def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def _whitened_pointing_derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives of the readings of n pointings by target (n, 3, 3), and by P parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(
             sightings.ideal_raw_readings, np.zeros(self.construction.n_parameters)
@@ -196,7 +205,7 @@ class LayoutScorer:
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
         white = (self._used_observables / sigma)[:, :, None]
-        return by_target * (white * INTERNAL_LENGTH_UNIT), np.concatenate(designs, axis=2) * (
+        return by_target * (white * NORMAL_EQUATION_LENGTH_UNIT), np.concatenate(designs, axis=2) * (
             white * self.parameter_scales
         )
 
@@ -205,15 +214,15 @@ class LayoutScorer:
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad] to the normal equations.
 
-        `station_indices` (N,) are the indices of the stations that the set-ups replace, by default 0; some effects
-        depend on the time or name of the station. `is_visible` (N, T) is True where a set-up measures one of T targets,
-        by default everywhere.
+        `station_indices` (N,) holds the index of the station that each set-up replaces, default 0; some effects depend
+        on the time or name of the station. `is_visible` (N, T) is True where a set-up measures one of T targets,
+        default everywhere.
         """
         station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
             np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
         )
-        t, x = self.whitened_rows(position, yaw, station_of_position, is_visible)
+        t, x = self.whitened_derivatives(position, yaw, station_of_position, is_visible)
         flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
         has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[station_of_position])
@@ -236,15 +245,16 @@ class LayoutScorer:
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.weighted_target_rms(
-                schur[determined], inverses[determined], coefficients[determined], self.mesh_targets
+                schur[determined], inverses[determined], coefficients[determined], self.eliminated_target_indices
             )
         return LayoutPrecision(information, rms)
 
     def marginal_information(self, schur: Floats, squared_norms: Floats) -> Floats:
         """Information (B, P, P) on P parameters of instrument and effects in B layouts; NaN for undetermined unknowns.
 
-        All other unknowns are eliminated from the normal matrices `schur` (B, K, K) of K unknowns. The squared norms
-        (B, K) of the columns of the design matrices serve to recognise undetermined unknowns.
+        `schur` (B, K, K) are normal matrices of K unknowns; all unknowns except the parameters are eliminated from
+        them. `squared_norms` (B, K) are the squared norms of the columns of the design matrices, relative to which a
+        small pivot counts as an undetermined unknown.
         """
         unit, scale = scale_to_unit_diagonal(schur, squared_norms)
         roots, _ = cholesky_where_determined(unit)
@@ -253,14 +263,14 @@ class LayoutScorer:
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Normal matrices of B layouts without E eliminated targets, squared norms, and two arrays of the elimination.
+        """Normal matrices of B layouts after elimination of E targets, squared column norms, arrays for the targets.
 
-        The matrices of K remaining unknowns are Schur complements (B, K, K), NaN for an undetermined target; the norms
-        (B, K) of columns are those before the elimination. The last two are the inverse blocks
-        (B, E, 3, 3) of the targets, and their products (B, E, 3, K) with the coupling blocks.
+        The matrices of the K remaining unknowns are Schur complements (B, K, K), NaN for an undetermined target. The
+        squared norms (B, K) of the columns of the design matrix are those before the elimination. The last two arrays
+        are the inverse blocks (B, E, 3, 3) of the targets, and their products (B, E, 3, K) with the coupling blocks.
         """
         reduced, tt, tk = self._normal_matrices(blocks, setup_indices)
-        if not self._used_observables.all():  # a whole sight places its target
+        if not self._used_observables.all():  # with range and angles every target is determined
             spread = np.linalg.eigvalsh(tt)
             open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
@@ -275,8 +285,9 @@ class LayoutScorer:
     def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
         """Blocks of the normal matrices of B layouts, for E targets that are eliminated later and K other unknowns.
 
-        The blocks are those of the other unknowns (B, K, K), of the targets (B, E, 3, 3), and the coupling of both (B,
-        E, 3, K). `setup_indices` (B, S) are the indices in `blocks` of the S set-ups of each layout.
+        The blocks are those of the other unknowns (B, K, K), those of the targets (B, E, 3, 3), and those that couple
+        targets with other unknowns (B, E, 3, K). `setup_indices` (B, S) holds the indices in `blocks` of the S set-ups
+        of each layout.
         """
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
@@ -305,40 +316,40 @@ class LayoutScorer:
             datum = self._datum_rows(blocks.setup_positions[setup_indices])
             pose_columns = slice(0, datum.shape[2])
             reduced[:, pose_columns, pose_columns] += np.swapaxes(datum, 1, 2) @ datum
-        mesh = tt[:, self.mesh_targets] + self._fixed_target_blocks
+        mesh = tt[:, self.eliminated_target_indices] + self._fixed_target_blocks
         unseen = np.einsum("beii->be", mesh) == 0.0
         return (
             reduced,
             mesh + unseen[:, :, None, None] * np.eye(3),
-            tk[:, self.mesh_targets] + self._fixed_coupling_blocks,
+            tk[:, self.eliminated_target_indices] + self._fixed_coupling_blocks,
         )
 
     def _datum_rows(self, position: Floats) -> Floats:
         """Whitened rows (B, f, 6 a) that fix f free rigid motions of B layouts of stations at `position` (B, S, 3) [m].
 
-        They constrain the pose of the first station (a = 1), or for ranges alone the positions of all S stations (a =
-        S).
+        The rows constrain the poses of the first a stations. With angles a = 1; with ranges alone a = S, and only the
+        positions are constrained.
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
         datum_rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
         datum_rows[..., :3] += np.cross(datum_rows[..., 3:], anchors[:, None])
         datum_rows[..., 3:] *= self._fixes_datum_rotations
-        return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
+        return (datum_rows / DATUM_SIGMA * NORMAL_EQUATION_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of B layouts, with the survey's target weights.
+        """Weighted root mean square point error (B,) [m] of targets in B layouts, with the survey's target weights.
 
-        The arguments are those of `squared_point_errors`.
+        The arguments are as in `squared_point_errors`.
         """
         variance = self.squared_point_errors(schur, inverses, coefficients, targets)
         weight = self._target_weights[self.target_indices_with_gauge(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def target_indices_with_gauge(self, targets: Ints) -> Ints:
-        """Indices of the given targets and of the gauge targets: (1, n) for all layouts, or (B, n) for B layouts.
+        """Indices of the given targets followed by those of the gauge: (1, n) for all layouts, or (B, n) for B layouts.
 
-        `targets` are indices in the survey: (E,) for E targets, or (B, E) if they differ between B layouts.
+        `targets` holds indices in the survey: (E,) for E targets, or (B, E) if they differ between B layouts.
         """
         indices = np.atleast_2d(targets)
         return np.concatenate(
@@ -346,11 +357,12 @@ class LayoutScorer:
         )
 
     def squared_point_errors(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Squared point errors (B, E + gauge) [m^2] of targets in B layouts, with inner constraints over them as datum.
+        """Squared point errors (B, E + gauge) [m^2] of E targets and the gauge targets in B layouts.
 
-        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K) for K
-        unknowns, `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `targets`,
-        (E,) or (B, E), holds the indices of the E targets in the survey; those of the gauge are always included.
+        The datum is the mean of all these targets (inner constraints). Parameters of the instrument and of reflectors
+        are estimated, effects are not. `schur` (B, K, K) for K unknowns, `inverses` (B, E, 3, 3) and `coefficients` (B,
+        E, 3, K) are results of `eliminate_targets`. `targets`, (E,) or (B, E), holds the indices of the E targets in
+        the survey.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
@@ -379,4 +391,4 @@ class LayoutScorer:
         variance[:, :count] += np.einsum("beii->be", inverses) - 2.0 * np.einsum(
             "beif,beif->be", motion[:, :count], response
         )
-        return INTERNAL_LENGTH_UNIT**2 * variance
+        return NORMAL_EQUATION_LENGTH_UNIT**2 * variance

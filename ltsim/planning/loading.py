@@ -1,4 +1,4 @@
-"""Reader of plan files, their lists of points, and the scenario that they name or the hall that they describe."""
+"""Reader of plan files, of their lists of points, and of the scenario or hall to which a plan refers."""
 
 import difflib
 import math
@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.search_space import MIN_VISIBLE_TARGETS
+from ltsim.planning.search_space import MIN_VISIBLE_TARGETS_PER_STATION
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
@@ -28,59 +28,62 @@ from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, 
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import make_obstacles, make_sight_limits, planned_layout
 
-SCENARIO_TABLES = ("workshop", "instrument", "smr", "work")
+SCENARIO_TABLES_IN_PLAN_FILE = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
 USUAL_HEAD_HEIGHTS_MM = (1400.0, 1800.0)
-"""Lowest and highest usual height [mm] of the centre of a tracker head on a stand: default range of heights in a hall
-that a plan file describes."""
+"""Lowest and highest usual height [mm] of the centre of a tracker head on a stand: the default range of heights for a
+plan file that describes a hall."""
 MAX_PLAN_POINTS = 2_000
-"""Largest number of points in the list of a plan; the search takes 130 kB of memory for each."""
+"""Largest number of points in the list of a plan. The search needs 130 kB of memory for each point."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
 """Largest distance [mm] between a point of a list and the target of the same name in the scenario at which both are the
 same point; a larger one is an error."""
 DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
 MAX_GRID_SETUPS = 200_000
-"""Largest number of candidate set-ups of a grid; a plan with more is rejected, because one search holds all in memory.
-"""
-BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
+"""Largest number of candidate set-ups (position and yaw of a station) of a grid. A plan with more is rejected, because
+a search holds all of them in memory."""
+BUILTIN_PLAN_FOLDER = files("ltsim.planning") / "builtin"
 """Folder of the built-in plan files."""
 
 
-def plan_names() -> tuple[str, ...]:
+def builtin_plan_names() -> tuple[str, ...]:
     """Names of the built-in plan files, and of the built-in scenarios, which are plans with default settings."""
-    plans = sorted(f.name.removesuffix(".toml") for f in BUILTIN_FOLDER.iterdir() if f.name.endswith(".toml"))
+    plans = sorted(f.name.removesuffix(".toml") for f in BUILTIN_PLAN_FOLDER.iterdir() if f.name.endswith(".toml"))
     return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
-def plan_text(name: str) -> str:
+def builtin_plan_text(name: str) -> str:
     """Content of the commented plan file of the built-in plan `name`, which users take as a template.
 
     Raises InputError if there is no such plan.
     """
-    path = BUILTIN_FOLDER / f"{name}.toml"
+    path = BUILTIN_PLAN_FOLDER / f"{name}.toml"
     if not path.is_file():
-        near = _similar_names(name, plan_names())
-        raise InputError(f"{safe_excerpt(name)}: there is no built-in plan of this name; did you mean {near}?")
+        similar = _suggestion(name, builtin_plan_names())
+        raise InputError(f"{safe_excerpt(name)}: there is no built-in plan of this name; {similar}")
     return path.read_text(encoding="utf-8")
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan and its scenario, from a plan file, the name of a built-in plan, or a scenario; raises InputError."""
+    """Plan file and scenario from the path of a plan file or scenario, or from the name of a built-in one.
+
+    Raises InputError.
+    """
     name = str(name_or_path)
-    built = BUILTIN_FOLDER / f"{name}.toml"
+    built = BUILTIN_PLAN_FOLDER / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
     if not path.is_file():
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
-        near = _similar_names(name, plan_names())
-        raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+        similar = _suggestion(name, builtin_plan_names())
+        raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan of this name; {similar}")
     with as_input_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
         made = validate_settings(data, PlanFile, "plan", path)
-    made = made.model_copy(update=_with_defaults(made, path))
+    made = made.model_copy(update=_completed_fields(made, path))
     scenario = _scenario_of_plan(made, data, path)
     if made.air is not None:
         scenario = scenario.model_copy(update={"air": made.air})
@@ -89,15 +92,16 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     return made, scenario
 
 
-def _similar_names(name: str, candidates: Sequence[str]) -> str:
-    """Text of the names among `candidates` that are most similar to an unknown `name`, for an error."""
-    return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
+def _suggestion(name: str, candidates: Sequence[str]) -> str:
+    """Clause for an error about an unknown `name`, which asks for the most similar names among `candidates`."""
+    names = ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8])
+    return f"did you mean {names}?" if names else "no name is defined here"
 
 
-def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
+def _completed_fields(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
 
-    `path` is that of the plan file. Raises InputError for too many points.
+    `path` is the path of the plan file. Raises InputError for too many points.
     """
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
     _require_few_points(len(points), path)
@@ -115,17 +119,19 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
     `plan_tables` are the TOML tables of the plan file at `path`. Raises InputError for contradictory keys.
     """
     points = plan_file.listed_points
-    tables = [name for name in SCENARIO_TABLES if name in plan_tables]
+    tables = [name for name in SCENARIO_TABLES_IN_PLAN_FILE if name in plan_tables]
     if plan_file.workshop is None and tables:
         raise InputError(
             f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
         )
     if plan_file.workshop is not None:
         if "scenario" in plan_tables:
-            raise InputError(f"{path}: it should have either scenario or [workshop], not both")
+            raise InputError(f"{path}: the plan has both scenario and [workshop]; remove one of them")
         return _hall_scenario(plan_file, plan_tables, points, path)
     scenario_path = path.parent / plan_file.scenario
-    return _with_points(load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path)
+    return _with_points_as_targets(
+        load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path
+    )
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
@@ -149,10 +155,8 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     ):
         for name in wanted:
             if name not in names:
-                near = _similar_names(name, names)
-                raise InputError(
-                    f"{file}: {key} names '{safe_excerpt(name)}', which does not exist; did you mean {near}?"
-                )
+                similar = _suggestion(name, names)
+                raise InputError(f"{file}: {key} names '{safe_excerpt(name)}', which does not exist; {similar}")
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     targets = frozenset(scenario.target_names)
     for name, count in Counter(new_names).items():
@@ -162,11 +166,14 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
 
 
 def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
-    """Check that no key is given without the keys that it needs, and that counts are consistent; raises InputError."""
+    """Check that keys which need other keys have them, and that numbers of stations are consistent.
+
+    Raises InputError, which names `file`.
+    """
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise InputError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
-    if fixed_keys and not plan_file.chooses_procedure:
+    if fixed_keys and not plan_file.chooses_measuring_procedure:
         raise InputError(
             f"{file}: {' and '.join(fixed_keys)} {'have' if len(fixed_keys) > 1 else 'has'} no effect without "
             "budget.max_hours or tolerances; give one of them, or fix faces and repeats in the table [work] of the "
@@ -182,9 +189,9 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
 
 
 def read_points(path: Path) -> tuple[PlanPoint, ...]:
-    """Points from a list of coordinates in any format; additional columns are keys of `PlanPoint`, such as ``weight``.
+    """Points of a plan from a list of coordinates in any format that ltsim reads.
 
-    Raises InputError.
+    Additional columns are keys of `PlanPoint`, such as ``weight``. Raises InputError.
     """
     columns = list(PlanPoint.model_fields)[4:]
     with as_input_error():
@@ -198,7 +205,7 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
 
 
 def _require_few_points(n_points: int, file: object) -> None:
-    """Check of the number of points of a plan; raises InputError above `MAX_PLAN_POINTS`."""
+    """Check that a plan has at most `MAX_PLAN_POINTS` points; raises InputError, which names `file`."""
     if n_points > MAX_PLAN_POINTS:
         raise InputError(
             f"{file}: the plan has {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of it separately"
@@ -206,7 +213,10 @@ def _require_few_points(n_points: int, file: object) -> None:
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
-    """Point at index `row` of a list read from `path`; raises RecordError for a cell that is not valid."""
+    """Point of a plan from the row with index `row` of a list of coordinates; raises RecordError for an invalid cell.
+
+    `path` is the path of the list.
+    """
     location: dict[str, Any] = {"file": path, "row": table.line_numbers[row]}
 
     def optional_number(column: str, default: float | None) -> float | None:
@@ -240,7 +250,7 @@ def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Seque
     Raises InputError, which names `file`.
     """
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
-    table |= {name: tables[name] for name in SCENARIO_TABLES if name in tables}
+    table |= {name: tables[name] for name in SCENARIO_TABLES_IN_PLAN_FILE if name in tables}
     table["work"] = {"order": "as-listed", **tables.get("work", {})}
     wide, deep, _ = plan_file.workshop.size_mm if plan_file.workshop else (0.0, 0.0, 0.0)
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEAD_HEIGHTS_MM[0]], "yaw_deg": 0.0}}
@@ -258,21 +268,21 @@ def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Seque
 
 
 def _require_plausible_extent(points: Sequence[PlanPoint], scenario: Scenario, file: object) -> None:
-    """Check that some point is farther from the corner of the hall than a thousandth of the hall's size.
+    """Check that not all points lie within a thousandth of the hall's size from the corner of the hall.
 
-    Otherwise the coordinates may be in metres, or a full stop may separate thousands (7.000 for 7000 mm). Raises
+    If they do, the coordinates may be in metres, or a full stop may separate thousands (7.000 for 7000 mm). Raises
     InputError.
     """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise InputError(
-            f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the hall; if their numbers "
-            "are metres, name the columns x_m, y_m, z_m; if a full stop in a number separates thousands, remove it"
+            f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the hall; if the coordinates "
+            "are in metres, name the columns x_m, y_m, z_m; if a full stop separates thousands, remove it"
         )
 
 
-def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
-    """Scenario with the points of a plan as additional targets; a point that is already a target is left out.
+def _with_points_as_targets(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
+    """Scenario with the points of a plan as additional targets, except points that are already targets.
 
     Raises InputError if a target of the same name is at another position.
     """
@@ -316,8 +326,8 @@ def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
 def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
     """Initial positions (`n_stations`, 3) [m] of the stations in a hall.
 
-    Each next station is at the grid point where it sees most targets that no earlier station sees. Raises InputError if
-    the floor has no room for the stations.
+    Each further station is at the grid point that sees most of the targets which no earlier station sees. Raises
+    InputError if the floor has no room for the stations.
     """
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
@@ -326,14 +336,14 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise InputError(
-            "the floor has no place for a tripod; enlarge the floor, move obstacles, or give a smaller grid_step_mm"
+            "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm"
         )
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
     ).is_visible
-    useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
+    useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION
     if not useful.any():
-        raise InputError("no place on the floor sees three points; enlarge the floor, or move obstacles")
+        raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
     placement = StationPlacement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
     chosen = placement.place_stations(n_stations, 1)

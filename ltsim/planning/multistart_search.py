@@ -1,6 +1,6 @@
-"""Searches for the best layout from many start layouts, in one or several processes, for each measuring procedure.
+"""Searches for the layout with the smallest objective from many initial layouts (starts), in one or several processes.
 
-The best layout is the one with the smallest objective.
+Each combination of the number of stations and the number of faces is searched separately.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
 N_STATION_REFLECTOR_ALTERNATIONS = 2
-"""Number of times that, after the first search for stations, reflectors and then stations are searched again, if
+"""Number of times that reflectors and then stations are searched again after the first search for stations, if
 reflectors are movable."""
 MIN_REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
@@ -36,16 +36,20 @@ MIN_REPORTED_GAIN = 0.01
 ObjectiveAndSurvey = tuple[float, PlannedSurvey]
 """Objective and survey of a layout."""
 LayoutsByStationsAndFaces = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
-"""Objective, number of the start, and survey of each layout, by number of stations and number of faces."""
+"""Objective, number of the start, and survey of each layout that a search found, by number of stations and number of
+faces."""
 
 
 @dataclass(frozen=True)
 class SearchTask:
-    """Task of a worker process: a search from one start, with given numbers of stations and faces."""
+    """Task of a worker process: a search from one initial layout, with given numbers of stations and faces."""
 
     n_stations: int
+    """Number of stations of the layout."""
     n_faces: int
+    """Number of faces in which each target is measured: 1 or 2."""
     start_number: int
+    """Number of the initial layout, from 0: 0 is the layout in the scenario, all others are random."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,9 @@ class PlanningProblem:
     """Plan file with its scenario, from which the inputs of a search are derived."""
 
     plan_file: PlanFile
+    """Plan file with goal, rules and settings of the search."""
     scenario: Scenario
+    """Scenario with hall, instrument, gauge and targets."""
 
     @property
     def construction(self) -> GeometricErrorModel:
@@ -72,7 +78,8 @@ class PlanningProblem:
     ) -> LayoutSearcher:
         """Searcher for layouts in `search_space` with the objective and the search settings of the plan file.
 
-        `report_progress` is called with the finished fraction of a start, `store_layout` with each better layout.
+        `report_progress` is called with the finished fraction of the search from one initial layout, `store_layout`
+        with each layout that is better than all before it.
         """
         settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
         step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
@@ -97,9 +104,10 @@ def run_searches(
 ) -> tuple[LayoutsByStationsAndFaces, bool]:
     """Layouts of all searches by numbers of stations and faces, and a flag that is True if Ctrl-C ended the searches.
 
-    `jobs` is the number of processes. `report_progress` is called with the finished fraction of all searches,
-    `store_survey` with each layout whose objective is better by `MIN_REPORTED_GAIN`, and this objective. With one job
-    the search runs in this process, reports progress within a start, and keeps its best layout after Ctrl-C.
+    `jobs` is the number of processes. `report_progress` is called with the finished fraction of all searches.
+    `store_survey` is called with each layout whose objective is better by `MIN_REPORTED_GAIN`, and with this objective.
+    With one job the searches run in this process: progress is reported also within a search, and after Ctrl-C its best
+    layout is kept.
     """
     best_by_task: dict[int, ObjectiveAndSurvey] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
@@ -148,9 +156,10 @@ def _layout_of_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, ObjectiveAndSurvey | None]:
-    """Task number, and the pair of objective and layout at the end of the search of this task.
+    """Task number, and the pair of objective and layout at the end of the search for this task.
 
-    The pair is None if no layout meets the rules of the plan, or if ranges from too few stations determine no layout.
+    The pair is None if the search finds no layout that meets the rules of the plan, or none that determines all
+    unknowns. The callbacks are those of `search_from_start`.
     """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)
@@ -161,7 +170,7 @@ def _layout_of_start(
 def _layout_in_worker(
     problem: PlanningProblem, task: SearchTask, task_number: int
 ) -> tuple[int, ObjectiveAndSurvey | None]:
-    """Result of `_layout_of_start` in a worker process, which ignores Ctrl-C: only the main process reacts to it."""
+    """Result of `_layout_of_start`, computed in a worker process that ignores Ctrl-C (the main process handles it)."""
     signal(SIGINT, SIG_IGN)
     return _layout_of_start(problem, task, task_number)
 
@@ -172,11 +181,11 @@ def search_from_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> ObjectiveAndSurvey:
-    """Objective and layout at the end of the search from one start.
+    """Objective and layout at the end of the search from one initial layout.
 
-    Stations are searched, then reflectors if they are movable, then stations again. `report_progress` is called with
-    the finished fraction, `store_layout` with each better layout. Raises InputError or NetworkError if there is no
-    layout.
+    Stations are searched, then, if reflectors are movable, reflectors and stations in turn. `report_progress` is called
+    with the finished fraction, `store_layout` with each better layout. Raises InputError or NetworkError if no layout
+    is found.
     """
     site, stays, seed = (
         problem.search_space(task),
@@ -194,7 +203,7 @@ def search_from_start(
         site = site.replace(
             survey=survey, is_aimed_nest=np.full(len(survey.target_points), bool(site.is_aimed_nest.any()))
         )
-        layout = replace(searcher, search_space=site, on_layout=no_progress).search_from(seed, 0)
+        layout = replace(searcher, search_space=site, on_better_layout=no_progress).search_from(seed, 0)
         survey = _with_moved_stations(site, layout.positions, layout.yaws)
     return layout.objective_value, survey
 

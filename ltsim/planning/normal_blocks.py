@@ -1,4 +1,4 @@
-"""Contributions of candidate set-ups to the normal equations of layouts."""
+"""Contributions of candidate set-ups (a station at a position with a yaw) to the normal equations of layouts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class NormalBlocks:
-    """Contributions of N set-ups to the normal equations.
+    """Contributions of N set-ups (a station at a position with a yaw) to the normal equations of layouts.
 
     The shapes refer to T targets and to P parameters of reflectors, instrument and effects.
     """
@@ -26,16 +26,16 @@ class NormalBlocks:
     has_determined_pose: Bools
     """Flags (N,): True for a set-up whose measured targets determine the pose of the station."""
     target_blocks: Floats
-    """Contribution of each of N set-ups to the block of the normal matrix of each of T targets, (N, T, 3, 3)."""
+    """Contribution of each of N set-ups to the 3 x 3 block of the normal matrix of each of T targets, (N, T, 3, 3)."""
     coupling_blocks: Floats
-    """Contribution of each of N set-ups to the block of the normal matrix between each of T targets and the pose
-    followed by P parameters, (N, T, 3, 6 + P)."""
+    """Contribution of each of N set-ups to the block of the normal matrix that couples each of T targets with the pose
+    of the set-up followed by P parameters, (N, T, 3, 6 + P)."""
     pose_blocks: Floats
-    """Contribution of each of N set-ups to the block of the normal matrix of the pose followed by P parameters, (N, 6 +
+    """Contribution of each of N set-ups to the block of the normal matrix of its pose followed by P parameters, (N, 6 +
     P, 6 + P)."""
 
     def select(self, indices: Ints) -> NormalBlocks:
-        """Contributions of only the set-ups with the given indices, in this order."""
+        """Contributions of the set-ups with the given indices, in the order of the indices."""
         return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
@@ -44,7 +44,7 @@ class NormalBlocks:
         return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
 
     def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
-        """Contributions of a layout in which the set-up `replacement` (N = 1) replaces one station, by its index."""
+        """Contributions of a layout after the single set-up `replacement` has replaced the station with this index."""
         stations = np.arange(len(self.setup_positions))
         return self.concatenate([self, replacement]).select(
             np.where(stations == station_index, len(stations), stations)

@@ -1,10 +1,10 @@
 """Objective of a layout: one number, smaller is better.
 
-The criteria are standard deviations from one covariance matrix or from many at once, (..., p, p), in units of the prior
-sigmas of p parameters. Micrometres and microradians can thus be averaged, and a criterion of one means that the
-readings contain no information. The D criterion is smallest for the largest determinant of the information matrix, as
-in the literature. The A criterion follows from the trace of the covariance matrix. The trace of the information matrix
-would be no measure of precision.
+The D, A and E criteria are mean or largest standard deviations of p parameters in units of their prior sigmas. They are
+computed from one covariance matrix (p, p), or from many at once (..., p, p). Micrometres and microradians can thus be
+averaged, and a criterion of 1 means that the readings contain no information. The D criterion is smallest for the
+largest determinant of the information matrix, as in the literature. The A criterion follows from the trace of the
+covariance matrix; the trace of the information matrix is no measure of precision.
 
 References
 ----------
@@ -24,27 +24,30 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.planning.layout_scorer import LayoutPrecision
 
 CriterionName = Literal["D", "A", "E"]
+"""Name of an optimality criterion: D (determinant), A (mean variance) or E (worst combination)."""
 INSTRUMENT_QUALITY_NAME = "instrument"
 """Name of the quality that is an optimality criterion of the instrument parameters."""
 TARGETS_QUALITY_NAME = "targets"
 """Name of the quality that is the weighted root mean square point error of the targets."""
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
-"""Name of the quality that is the mean of the minimal detectable sizes of effects."""
+"""Name of the quality that is the geometric mean of the minimal detectable sizes of effects, relative to plausible
+sizes."""
 QUALITY_PHRASES = {
     INSTRUMENT_QUALITY_NAME: "the precision of the instrument parameters",
     TARGETS_QUALITY_NAME: "the precision of the targets",
     DIAGNOSIS_QUALITY_NAME: "the sensitivity of a diagnosis to effects",
 }
-"""Phrase for each quality in sentences, by the name of the quality."""
+"""Noun phrase for each quality in sentences for users, by the name of the quality."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Smallest relative improvement of the objective by a sweep over all stations at which another sweep follows; after a
-smaller one the search ends."""
+"""Smallest relative improvement of the objective by a sweep (one attempt to replace each station) after which another
+sweep follows."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
     """Geometric mean (...) of the standard deviations along the principal axes of covariance matrices (..., p, p).
 
-    It is det^(1 / 2p) for p parameters; the volume of the confidence ellipsoid is proportional to its p-th power.
+    For p parameters it is det(covariance)^(1 / 2p), the p-th root of the volume of the confidence ellipsoid up to a
+    factor.
     """
     _, logarithm = np.linalg.slogdet(covariance)
     return np.exp(0.5 * logarithm / covariance.shape[-1])
@@ -68,27 +71,27 @@ CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
     "A": a_criterion,
     "E": e_criterion,
 }
-"""Function that computes each optimality criterion of the instrument parameters from their covariance, by name."""
+"""Function of each optimality criterion, by its name; it computes the criterion from the covariance of the parameters.
+"""
 
 
 @dataclass(frozen=True)
 class LayoutObjective:
-    """Objective as a weighted geometric mean of up to three qualities; smaller is better."""
+    """Objective of layouts as a weighted geometric mean of up to three qualities; smaller is better."""
 
     quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY_NAME: 1.0})
-    """Weight of each quality by name: `instrument` (a criterion of the parameters, in prior sigmas), `targets`
+    """Weight of each quality by name: `instrument` (optimality criterion of the parameters, in prior sigmas), `targets`
     (weighted root mean square point error [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of
-    effects, divided by their plausible sizes).
-    """
+    effects, divided by their plausible sizes)."""
     criterion_name: CriterionName = "D"
     """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
     """Effects that a diagnosis should detect."""
     n_diagnosis_variants_by_effect: Mapping[str, int] = field(default_factory=dict)
-    """Number of variants that a diagnosis tests for each effect (stations or targets where it may act, and shapes), by
-    name of the effect; default the number of entries in `effects`. With more tests, only a larger effect is detected at
-    the same false-alarm rate.
-    """
+    """Number of variants of each effect that a diagnosis tests, by name of the effect; default the number of entries in
+    `effects`. Variants differ in the station or target where the effect acts, or in shape parameters (period, time
+    constant, onset time). The more variants are tested, the larger an effect must be to be detected at the same
+    false-alarm rate."""
 
     @property
     def needs_target_errors(self) -> bool:
@@ -98,19 +101,19 @@ class LayoutObjective:
     def qualities(self, precision: LayoutPrecision, n_parameters: int) -> dict[str, Floats]:
         """Values (B,) of each quality with a weight in the objective, by name, for B layouts; smaller is better.
 
-        They are infinite for a layout that leaves unknowns undetermined. The first `n_parameters` rows of the
-        information matrices in `precision` are those of instrument parameters; the rows of effects follow.
+        The values are infinite for a layout that leaves unknowns undetermined. The first `n_parameters` rows of the
+        information matrices in `precision` belong to instrument parameters, the other rows to effects.
         """
         qualities: dict[str, Floats] = {}
         if self.quality_weights.get(INSTRUMENT_QUALITY_NAME, 0.0) > 0.0:
             qualities[INSTRUMENT_QUALITY_NAME] = self._instrument_quality(
-                precision.information[:, :n_parameters, :n_parameters]
+                precision.information_matrices[:, :n_parameters, :n_parameters]
             )
         if self.needs_target_errors:
             qualities[TARGETS_QUALITY_NAME] = precision.weighted_target_rms
         if self.quality_weights.get(DIAGNOSIS_QUALITY_NAME, 0.0) > 0.0:
             qualities[DIAGNOSIS_QUALITY_NAME] = mean_detectable_size(
-                precision.information, n_parameters, self.effects, self.n_diagnosis_variants_by_effect
+                precision.information_matrices, n_parameters, self.effects, self.n_diagnosis_variants_by_effect
             )
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
@@ -141,9 +144,8 @@ def mean_detectable_size(
 ) -> Floats:
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
-    `information` (B, P, P) are information matrices of B layouts for P parameters, of which the first `n_parameters`
-    are those of the instrument and all others those of `effects`. `n_diagnosis_variants_by_effect` is as in
-    `LayoutObjective`.
+    `information` (B, P, P) are information matrices of B layouts for P parameters: first the `n_parameters` of the
+    instrument, then those of `effects`. `n_diagnosis_variants_by_effect` is as in `LayoutObjective`.
     """
     sought = {**Counter(effect.name for effect in effects), **(n_diagnosis_variants_by_effect or {})}
     parameter_block = information[:, :n_parameters, :n_parameters]

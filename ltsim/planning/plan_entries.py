@@ -1,4 +1,4 @@
-"""Objects in plan.json, each created from a part of the planned network."""
+"""Entries of plan.json (stations, reflectors, parameters, layouts), each created from a part of the planned network."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive,
 
 if TYPE_CHECKING:
     from ltsim.adjustment.remedies.detectability import MinimalSize
-    from ltsim.planning.information import ExpectedCriteria, LayoutInformation
+    from ltsim.planning.expected_precision import ExpectedDisagreement, ExpectedPrecision
     from ltsim.planning.planner import LayoutEvaluation, TradeoffPoint
     from ltsim.planning.survey import PlannedSurvey
 
 QualityValues = dict[str, OptionalFloat]
-"""Values of the qualities of a layout (see `LayoutObjective`) by name; null if undetermined."""
+"""Value of each quality of a layout by name (`instrument`, `targets`, `diagnosis`, see `LayoutObjective`); null if
+undetermined."""
 XyzSizesUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
@@ -32,17 +33,17 @@ class PlannedStationEntry(Entry):
     name: str
     """Name of the station."""
     position_mm: Vector
-    """Position of the centre of the head, in the hall frame."""
+    """Position of the centre of the tracker head [mm], in the hall frame."""
     yaw_deg: Finite
-    """Direction of azimuth zero, counter-clockwise from x."""
+    """Direction of azimuth zero [deg], counter-clockwise from the x axis."""
     sigma_position_um: XyzSizesUm = ()
-    """Expected standard deviations of the position along x, y and z."""
+    """Expected standard deviations of the position along x, y and z [um]."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
 
     @classmethod
     def from_survey(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
-        """Entries of the stations of a survey, without their standard deviations."""
+        """Entries of the stations of a planned survey, with poses but without standard deviations."""
         station_fields = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
             cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw))
@@ -52,7 +53,7 @@ class PlannedStationEntry(Entry):
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation) -> tuple[Self, ...]:
         """Entries of the stations of a layout, with their expected precision."""
-        sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
+        sigma = np.sqrt(np.einsum("sii->si", layout.expected_precision.pose_covariance[:, :3, :3])) / MICROMETRE
         counts = layout.survey.is_visible.sum(axis=1).tolist()
         return tuple(
             cls(
@@ -67,24 +68,24 @@ class PlannedStationEntry(Entry):
 
 
 class PlannedReflectorEntry(Entry):
-    """Reflector with its expected precision."""
+    """Reflector of a plan with its position and expected precision."""
 
     name: str
     """Name of the reflector."""
     position_mm: Vector
-    """Position of the centre of the reflector, in the hall frame."""
+    """Position of the centre of the reflector [mm], in the hall frame."""
     sigma_um: OptionalFloat
     """Expected point error of the reflector [um]: square root of the trace of its covariance."""
     expanded_uncertainty_um: XyzSizesUm = Field(default=(), alias="U_um")
-    """Expanded uncertainty (k = 2) of x, y and z [um], with the mean of all points as datum."""
+    """Expanded uncertainty (k = 2) of the coordinates x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
     point_error_mm: OptionalFloat = None
-    """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
+    """Point error [mm] that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
-    """Largest permitted point error; null without a tolerance."""
+    """Largest permitted point error [mm]; null without a tolerance."""
     tolerance_ratio: OptionalFloat = None
     """Ratio of point error to tolerance (`point_error_mm` / `tolerance_mm`); at most 1 if the tolerance is met."""
     tolerance_met: bool | None = None
@@ -92,8 +93,11 @@ class PlannedReflectorEntry(Entry):
 
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
-        """Entries of the reflectors of a layout with expected precision, and with tolerances if there is a `check`."""
-        survey, information = layout.survey, layout.information
+        """Entries of the reflectors of a layout with their expected precision.
+
+        If there is a `check` against tolerances, the entries contain its results.
+        """
+        survey, information = layout.survey, layout.expected_precision
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
             cls(
@@ -110,7 +114,7 @@ class PlannedReflectorEntry(Entry):
 
     @staticmethod
     def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
-        """Fields on the tolerance of the reflector `name`, with their values; empty if it has no tolerance."""
+        """Values of the fields on the tolerance of the reflector `name`, by field name; empty without a tolerance."""
         if check is None or name not in check.error_by_point_m:
             return {}
         within, used = check.error_by_point_m[name] / MILLIMETRE, check.tolerance_ratio(name)
@@ -121,26 +125,26 @@ class PlannedReflectorEntry(Entry):
 
 
 class PlannedParameterEntry(Entry):
-    """Instrument parameter with its expected precision."""
+    """Instrument parameter of a plan with its expected standard deviation."""
 
     name: str
     """Name of the parameter."""
     unit: str = ""
     """Unit of `sigma` and `prior_sigma`."""
     sigma: Finite
-    """Expected standard deviation after calibration."""
+    """Expected standard deviation of the parameter after calibration."""
     prior_sigma: Positive
-    """Prior standard deviation, before any reading."""
+    """Standard deviation of the parameter before any reading (prior)."""
     removed_variance_fraction: OptionalFloat = None
     """Fraction of the prior variance that the readings are expected to remove: 1 - (sigma / prior_sigma)^2."""
 
     @classmethod
-    def from_information(cls, layout_information: LayoutInformation) -> tuple[Self, ...]:
-        """Entries of the instrument parameters of a layout, in their units of display."""
+    def from_expected_precision(cls, expected_precision: ExpectedPrecision) -> tuple[Self, ...]:
+        """Entries of the instrument parameters of a layout, with standard deviations in the units of display."""
         parameter_fields = zip(
-            layout_information.construction.parameters,
-            layout_information.instrument_sigmas,
-            layout_information.prior_sigma,
+            expected_precision.construction.parameters,
+            expected_precision.instrument_sigmas,
+            expected_precision.prior_sigma,
             strict=True,
         )
         return tuple(
@@ -156,25 +160,25 @@ class PlannedParameterEntry(Entry):
 
 
 class AgreementImprovementEntry(Entry):
-    """Expected improvement by calibration of the agreement of stations, in distances or in coordinates of targets."""
+    """Expected improvement by calibration of the agreement between stations, in distances or in coordinates."""
 
     before_um: Finite
-    """Expected mean disagreement of the stations before calibration."""
+    """Expected mean disagreement of the stations before calibration [um]."""
     after_um: Finite
-    """Expected mean disagreement of the stations after calibration."""
+    """Expected mean disagreement of the stations after calibration [um]."""
     improvement_percent: Finite
-    """Reduction of the mean disagreement by the calibration."""
+    """Reduction of the mean disagreement by the calibration [%]."""
 
     @classmethod
-    def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
-        """Expected improvement of the distance and of the coordinate criterion, by the name of the criterion.
+    def from_expected_disagreement(cls, expected_disagreement: ExpectedDisagreement) -> dict[str, Self]:
+        """Expected improvement in distances (key "distance") and in coordinates of targets (key "coordinate").
 
-        If criteria are given for several assumptions on the sizes of the errors, the first is used.
+        If criteria are given for several assumptions on the sizes of the errors, the first assumption is used.
         """
-        e = expected_criteria
+        e = expected_disagreement
         criteria = {
-            "distance": (e.distance_criterion_before, e.distance_criterion_after, e.distance_improvement),
-            "coordinate": (e.coordinate_criterion_before, e.coordinate_criterion_after, e.coordinate_improvement),
+            "distance": (e.distance_disagreement_before, e.distance_disagreement_after, e.distance_improvement),
+            "coordinate": (e.coordinate_disagreement_before, e.coordinate_disagreement_after, e.coordinate_improvement),
         }
         return {
             name: cls(before_um=before[0] / MICROMETRE, after_um=after[0] / MICROMETRE, improvement_percent=percent[0])
@@ -183,7 +187,7 @@ class AgreementImprovementEntry(Entry):
 
 
 class ProcedureEntry(Entry):
-    """Measuring procedure: numbers of faces and rounds, and duration."""
+    """Measuring procedure: numbers of faces and rounds, with its duration and the qualities of its layout."""
 
     faces: int = 1
     """Number of faces: 1 or 2."""
@@ -195,12 +199,11 @@ class ProcedureEntry(Entry):
     """Duration of the whole measurement [h]."""
     qualities: QualityValues = Field(default_factory=dict)
     """Qualities with a weight in the goal, by name; smaller is better. `targets` is the weighted root mean square point
-    error [m]; the weight of a point is its `weight` divided by the square of its tolerance.
-    """
+    error [m]; the weight of a point is its `weight` divided by the square of its tolerance."""
 
     @staticmethod
     def _procedure_fields(survey: PlannedSurvey, qualities: dict[str, float]) -> dict[str, Any]:
-        """Fields on the measuring procedure of a survey, with their values, for subclasses."""
+        """Values of the fields on the measuring procedure of a survey, by name of the field, for subclasses."""
         return {
             "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.n_pointings,
             "hours": round(survey.duration / 3600, 3), "qualities": qualities,
@@ -208,16 +211,16 @@ class ProcedureEntry(Entry):
 
 
 class PlannedLayoutEntry(ProcedureEntry):
-    """Layout with its expected precision before measurement."""
+    """Planned layout (stations and reflectors) with its expected precision before measurement."""
 
     broken_rules: tuple[str, ...] = ()
-    """Rules of the plan that the layout breaks, one sentence each."""
+    """Sentence on each rule of the plan that the layout breaks."""
     stations: tuple[PlannedStationEntry, ...]
     """Stations of the layout, with their expected precision."""
     reflectors: tuple[PlannedReflectorEntry, ...] = ()
     """Reflectors of the layout, with their expected precision."""
     rms_sigma_um: OptionalFloat = None
-    """Root mean square of `sigma_um` over all reflectors, each with equal weight."""
+    """Root mean square of `sigma_um` over all reflectors [um], each with equal weight."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
     """Instrument parameters with their expected precision."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
@@ -226,7 +229,7 @@ class PlannedLayoutEntry(ProcedureEntry):
     """Expected improvement by calibration of the agreement of the stations, in distances and in coordinates of targets
     (criteria of Sensors 2021, 21, 7479)."""
     blocked_sights: tuple[str, ...] = ()
-    """Pairs of station and reflector without visibility, one sentence each with the reason."""
+    """Sentence on each pair of station and reflector without visibility, with the reason."""
 
     @classmethod
     def from_evaluation(
@@ -236,14 +239,14 @@ class PlannedLayoutEntry(ProcedureEntry):
 
         `extra_fields` are values of the additional fields of a subclass.
         """
-        information, survey = layout.information, layout.survey
+        information, survey = layout.expected_precision, layout.survey
         names = information.construction.parameter_names
         return cls(
             broken_rules=tuple(rule.sentence for rule in layout.broken_rules),
             stations=PlannedStationEntry.from_layout(layout),
             reflectors=PlannedReflectorEntry.from_layout(layout, check),
             rms_sigma_um=information.target_rms / MICROMETRE,
-            parameters=PlannedParameterEntry.from_information(information),
+            parameters=PlannedParameterEntry.from_expected_precision(information),
             undetermined=tuple(
                 UndeterminedEntry(
                     combination=d.coefficients(names), gain=d.gain, cure=m.sentence, measurement=m.instruction
@@ -253,8 +256,8 @@ class PlannedLayoutEntry(ProcedureEntry):
                 )
             ),
             expected_improvement=None
-            if layout.expected_criteria is None
-            else AgreementImprovementEntry.from_criteria(layout.expected_criteria),
+            if layout.expected_disagreement is None
+            else AgreementImprovementEntry.from_expected_disagreement(layout.expected_disagreement),
             blocked_sights=tuple(layout.visibility.invisible_pair_sentences(survey.station_names, survey.target_names)),
             **cls._procedure_fields(survey, layout.qualities),
             **extra_fields,
@@ -262,20 +265,20 @@ class PlannedLayoutEntry(ProcedureEntry):
 
 
 class TradeoffEntry(ProcedureEntry):
-    """Measuring procedure and number of stations, with the best layout that the search found for them."""
+    """Point of the trade-off curve between cost and quality: number of stations, measuring procedure, best layout."""
 
     station_count: int
     """Number of stations."""
     objective_value: OptionalFloat = None
-    """Objective of the layout; smaller is better."""
+    """Objective of the best layout; smaller is better."""
     is_efficient: bool = False
-    """True if every faster procedure has a worse objective."""
+    """True if every point of the trade-off curve with a shorter duration has a worse objective."""
     layout: tuple[PlannedStationEntry, ...] = ()
-    """Stations of the best layout for this procedure and number of stations, without their expected precision."""
+    """Stations of the best layout, without their expected precision."""
 
     @classmethod
     def from_tradeoff_point(cls, tradeoff_point: TradeoffPoint) -> Self:
-        """Entry of a point on the curve of cost against quality."""
+        """Entry of plan.json for a point of the trade-off curve between cost and quality."""
         return cls(
             station_count=len(tradeoff_point.survey.station_positions),
             objective_value=tradeoff_point.objective_value,
@@ -295,24 +298,24 @@ class TradeoffEntry(ProcedureEntry):
 
 
 class LossCheckEntry(Entry):
-    """Result of a check of the tolerances after the loss of a station or a sight."""
+    """Check whether the tolerances are still met after the loss of a station or a sight."""
 
     lost_station_or_sight: str
     """Name of the lost station, or description of the lost sight."""
     tolerances_met: bool
     """True if all tolerances are met after the loss."""
     max_tolerance_ratio: OptionalFloat = None
-    """Largest ratio of point error to tolerance; null if a point is undetermined."""
+    """Largest ratio of point error to tolerance after the loss; null if a point is undetermined."""
     worst_point: str = ""
-    """Name of the point with the largest ratio of error to tolerance."""
+    """Name of the point with the largest ratio of point error to tolerance."""
     unseen_points: tuple[str, ...] = ()
-    """Points with a tolerance that no station sees after the loss."""
+    """Names of points with a tolerance that no station sees after the loss."""
 
     @classmethod
     def from_check(cls, check: ToleranceCheck) -> Self:
         """Entry of the check of a layout after a loss."""
         return cls(
-            lost_station_or_sight=check.loss_text,
+            lost_station_or_sight=check.lost_station_or_sight,
             tolerances_met=check.meets_all_tolerances,
             max_tolerance_ratio=check.max_tolerance_ratio,
             worst_point=check.worst_point_name,
@@ -321,9 +324,9 @@ class LossCheckEntry(Entry):
 
     @property
     def max_tolerance_ratio_text(self) -> str:
-        """Text of the largest ratio of error to tolerance in percent; '' for points that no station sees.
+        """Text of the largest ratio of point error to tolerance in percent, "not determined", or "".
 
-        The text is "not determined" for undetermined points.
+        It is "not determined" if a point is undetermined, and empty if no station sees a point.
         """
         if self.max_tolerance_ratio is not None:
             return tolerance_ratio_text(self.max_tolerance_ratio)
@@ -333,32 +336,32 @@ class LossCheckEntry(Entry):
 class DetectableSize(Entry):
     """Minimal detectable size of an effect in a layout, for the best, median and worst variant of the effect.
 
-    The variants are the stations or targets on which the effect may act, and its shapes.
+    Variants differ in the station or target where the effect acts, or in shape parameters (period, time constant, onset
+    time).
     """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     parameter: str = ""
-    """Name of the parameter of the effect to which the sizes refer."""
+    """Name of the parameter of the effect whose sizes are listed."""
     unit: str = ""
     """Unit of the sizes."""
     smallest_size: OptionalFloat = None
-    """Smallest of the minimal detectable sizes over stations, targets or shapes."""
+    """Smallest of the minimal detectable sizes of all variants of the effect."""
     median_size: OptionalFloat = None
-    """Median of the minimal detectable sizes over stations, targets or shapes."""
+    """Median of the minimal detectable sizes of all variants of the effect."""
     largest_size: OptionalFloat = None
-    """Largest of the minimal detectable sizes over stations, targets or shapes."""
+    """Largest of the minimal detectable sizes of all variants of the effect."""
     largest_size_at: str = ""
-    """Station, target or shape constants of the effect for which the minimal detectable size is largest."""
+    """Variant with the largest minimal detectable size: its station, target or shape parameters."""
     plausible_size: Finite = 0.0
-    """Size of the effect in a bad but plausible instrument or hall."""
+    """Size of the effect in an instrument or hall that is bad, but still plausible."""
     visible_fraction: OptionalFloat = None
-    """Median, over stations, targets or shapes, of the fraction of the effect's change of the readings that remains in
-    the residuals."""
+    """Fraction of the change of the readings by the effect that remains in the residuals, median over all variants."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
-        """Entry of a minimal detectable size in units of display."""
+        """Entry of a row of the detectability report, with sizes in the units of display."""
         factor = SI_PER_UNIT[row.unit]
         return cls(
             effect=row.effect,
@@ -379,9 +382,10 @@ class ConfusablePair(Entry):
     effect: str
     """Identifier of the first effect in the catalogue."""
     other_effect: str
-    """Identifier of the second effect, for which the first one may be taken."""
+    """Identifier of the second effect in the catalogue, which a diagnosis may report instead of the first."""
     explained_fraction: Finite
-    """Fraction of the first effect's change of the residuals that the second effect explains; 1 for all of it."""
+    """Fraction of the first effect's change of the residuals that the second effect explains; 1 if it explains
+    everything."""
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:

@@ -1,4 +1,4 @@
-"""Searches that a plan file requests, and selection of the planned layout from the layouts that they find."""
+"""Searches for the layouts that a plan file requires, and choice of the planned layout among the layouts found."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ from ltsim.planning.planner import (
 )
 from ltsim.planning.required_sights import (
     candidate_placement_seeing_all_points,
-    never_visible_text,
+    points_lacking_sights_text,
     with_feasible_min_sights,
 )
 from ltsim.planning.search_inputs import (
@@ -40,19 +40,19 @@ from ltsim.planning.tolerances import PointTolerances, feasibility_and_tolerance
 from ltsim.simulation.scenario import Scenario
 
 SEARCH_PROGRESS_FRACTION = 0.8
-"""Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
-MIN_STATIONS = 2
+"""Fraction of the progress bar for the search; the other part is for checks of tolerances and changes of reflectors."""
+MIN_NETWORK_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
-"""Largest ratio at which an additional station counts as useful: largest error with the station divided by that without
-it (an error is a point error divided by its tolerance). If the last two stations together reduce the error by less than
-the square of this ratio, the search ends."""
+"""Largest ratio at which an additional station counts as useful: largest error with the station divided by largest
+error without it (point errors divided by tolerances). The search ends if the last two stations together have a ratio
+above the square of this value."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"
 )
 """Error message for a search without a layout that determines all poses and points."""
-STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
+STOPPED_SEARCH_MESSAGE = "the search was stopped before it found a layout; let it run longer"
 """Error message for a search that the user stopped before it had a layout."""
 
 
@@ -61,20 +61,20 @@ class SearchCallbacks:
     """Callbacks that report the progress of a search to the user."""
 
     on_progress: ProgressCallback = no_progress
-    """Callback with the name of the present task and its finished fraction."""
+    """Callback with the name of the present step ("searching layouts") and its finished fraction."""
     on_progress_sentence: Callable[[str], None] = no_progress
-    """Callback with a sentence on the best layout so far, when a better one is found."""
-    on_layout: Callable[[PlannedSurvey], None] = no_progress
-    """Callback with the survey of the best layout so far, when a better one is found."""
+    """Callback with a sentence on the best layout so far, called for each better layout."""
+    on_better_layout: Callable[[PlannedSurvey], None] = no_progress
+    """Callback with the survey of the best layout so far, called for each better layout."""
 
 
 def make_plan(
     file: PlanFile, scenario: Scenario, *, jobs: int = 1, callbacks: SearchCallbacks | None = None
 ) -> PlannedNetwork:
-    """Planned network with the best layout of all searches; it does not depend on the number of processes `jobs`.
+    """Planned network with the best layout of all searches that `file` requires.
 
-    Ctrl-C ends the search with the best layout so far (`PlannedNetwork.is_stopped`). Raises InputError if no layout
-    meets the rules of the plan.
+    The result does not depend on the number of processes `jobs`. Ctrl-C ends the search with the best layout so far
+    (`PlannedNetwork.is_stopped`). Raises InputError if no layout meets the rules of the plan.
     """
     require_small_grid(file, scenario)
     progress_callbacks = callbacks or SearchCallbacks()
@@ -98,31 +98,38 @@ def make_plan(
 
 @dataclass
 class _PlanSearch:
-    """State of the planning: layouts for each number of stations and faces, and selection of the best layout."""
+    """State of the searches for a plan: layouts for each number of stations and faces, and choice of the best one."""
 
     problem: PlanningProblem
+    """Plan file and scenario."""
     jobs: int
+    """Number of processes."""
     callbacks: SearchCallbacks
+    """Callbacks that report the progress."""
     layouts: LayoutsByStationsAndFaces = field(default_factory=dict)
+    """Layouts found so far, by number of stations and number of faces."""
     station_count_results: list[StationCountResult] = field(default_factory=list)
+    """Result for each number of stations that was searched."""
     is_stopped: bool = False
+    """True if the user stopped the search."""
 
     @property
     def plan_file(self) -> PlanFile:
-        """Plan file of the problem."""
+        """Plan file of the planning problem."""
         return self.problem.plan_file
 
     @property
     def face_and_round_choices(self) -> tuple[list[int], list[int]]:
-        """Numbers of faces, and numbers of rounds, of the measuring procedures among which the plan chooses."""
+        """Candidate numbers of faces, and candidate numbers of rounds, of the measuring procedure."""
         return candidate_procedures(self.plan_file, self.problem.scenario)
 
     def _run_searches(
         self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]
     ) -> LayoutsByStationsAndFaces:
-        """Layouts of the searches `tasks`, which are also stored; the callbacks receive the best layout so far.
+        """Layouts found by the searches `tasks`, by numbers of stations and faces; they are also stored in `layouts`.
 
-        `report_progress` converts the finished fraction of these tasks to that of the whole planning.
+        `report_progress` converts the finished fraction of these tasks to that of all searches of the plan. The
+        callbacks receive each better layout.
         """
         goal = self.plan_file.goal
 
@@ -139,7 +146,7 @@ class _PlanSearch:
             self.callbacks.on_progress_sentence(
                 f"best layout so far: {len(survey.station_positions)} stations, {quality_text}"
             )
-            self.callbacks.on_layout(survey)
+            self.callbacks.on_better_layout(survey)
 
         def report_search_progress(finished_fraction: float) -> None:
             self.callbacks.on_progress(
@@ -154,7 +161,8 @@ class _PlanSearch:
     def best_for_station_count(self) -> TradeoffPoint:
         """Layout with the smallest objective for the given number of stations, or within the hours of the budget.
 
-        With tolerances it is the layout that meets them by the fastest measuring procedure, or the closest one.
+        With tolerances it is the layout that meets them in the shortest time; if none meets them, the layout with the
+        smallest ratio of error to tolerance.
         """
         scenario = self.problem.scenario
         count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
@@ -177,7 +185,7 @@ class _PlanSearch:
             )  # the same search again, for its sentence
         options = self.tradeoff_points(self.layouts)
         if not options:
-            raise InputError(STOPPED_MESSAGE)
+            raise InputError(STOPPED_SEARCH_MESSAGE)
         hours = np.inf if file.budget.max_hours is None else file.budget.max_hours
         demands = PointTolerances.from_plan_file(file)
         if demands:
@@ -202,19 +210,19 @@ class _PlanSearch:
         return min(paid, key=lambda o: o.objective_value)
 
     def best_with_fewest_stations(self) -> TradeoffPoint:
-        """Layout with the fewest stations that meets the tolerances, with the fastest sufficient measuring procedure.
+        """Layout with the fewest stations that meets the tolerances, by the measuring procedure of shortest duration.
 
-        If no layout meets the tolerances, it is the one with the smallest ratio of error to tolerance.
+        If no layout meets the tolerances, the result is the layout with the smallest ratio of point error to tolerance.
         """
         demands, scenario = PointTolerances.from_plan_file(self.plan_file), self.problem.scenario
         alone = demands.loss_to_withstand == "no"
-        if not self.plan_file.gives_min_stations:
+        if not self.plan_file.gives_min_stations_per_target:
             least = min_sights_of_reflector(scenario) + (not alone)
-            self.problem = replace(self.problem, plan_file=self.plan_file.with_min_stations(least))
+            self.problem = replace(self.problem, plan_file=self.plan_file.with_min_stations_per_target(least))
         file, faces = self.plan_file, self.face_and_round_choices[0]
         min_stations = file.stations.min_stations_per_target
         min_count = max(
-            MIN_STATIONS if alone else 3,
+            MIN_NETWORK_STATIONS if alone else 3,
             len(file.stations.fixed_stations),
             1 if min_stations == "all" else min_stations,
         )
@@ -226,7 +234,7 @@ class _PlanSearch:
         k = 0
         for n in station_counts:
             if n < station_counts[-1] and (
-                lacking := never_visible_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
+                lacking := points_lacking_sights_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
             ):
                 self.station_count_results.append(StationCountResult(n, None, False, lacking))
                 continue
@@ -258,7 +266,7 @@ class _PlanSearch:
     def _layout_with_smallest_tolerance_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """List with the one layout, among those of several starts, with the smallest ratio of error to tolerance."""
+        """List with one layout: that of several starts whose largest ratio of error to tolerance is smallest."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -273,7 +281,7 @@ class _PlanSearch:
         ]
 
     def _has_converged(self) -> bool:
-        """True if the last two additional stations hardly reduced the largest ratio of error to tolerance."""
+        """True if the last two additional stations hardly reduced the largest ratio of point error to tolerance."""
         ratios = [
             outcome.max_tolerance_ratio if outcome.max_tolerance_ratio is not None else np.inf
             for outcome in self.station_count_results
@@ -288,7 +296,7 @@ class _PlanSearch:
         """Error message for a search that found no layout with these numbers of stations."""
         hours = self.plan_file.budget.max_hours
         if self.is_stopped:
-            return STOPPED_MESSAGE
+            return STOPPED_SEARCH_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
             range_text = f"{station_counts[0]} to {station_counts[-1]}"
             return f"no layout of {range_text} stations takes at most {hours:g} h; increase budget.max_hours"

@@ -10,7 +10,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedDisagreement, ExpectedPrecision
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
@@ -32,14 +32,15 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
 MAX_BLOCKED_SIGHTS_IN_SENTENCE = 3
-"""Largest number of blocked sights that a sentence describes."""
+"""Largest number of blocked sights that a sentence for users describes one by one."""
 
 
 @dataclass(frozen=True)
 class TradeoffPoint(ValueEquality):
-    """Point of the curve of cost (duration) against quality: a measuring procedure with its best layout."""
+    """Point of the trade-off curve between cost (duration) and quality: a measuring procedure with its best layout."""
 
     survey: PlannedSurvey
+    """Planned survey of the best layout by this procedure."""
     objective_value: float
     """Objective of the layout; smaller is better."""
     qualities: dict[str, float]
@@ -55,18 +56,19 @@ class TradeoffPoint(ValueEquality):
 
 @dataclass(frozen=True)
 class LayoutEvaluation(ValueEquality):
-    """Evaluation of a layout before measurement."""
+    """Evaluation of a planned layout before measurement: expected precision, visibility, objective and broken rules."""
 
     survey: PlannedSurvey
+    """Planned survey whose stations and targets form the layout."""
     objective_value: float
     """Objective, smaller is better; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
     """Qualities with a weight in the goal, by name; smaller is better."""
-    information: LayoutInformation
-    """Expected precision of the layout."""
+    expected_precision: ExpectedPrecision
+    """Expected precision of the unknowns (poses, targets, instrument parameters) of the layout."""
     visibility: Visibility
     """Visibility of each target from each station, with the reason for each blocked line of sight."""
-    expected_criteria: ExpectedCriteria | None
+    expected_disagreement: ExpectedDisagreement | None
     """Expected mean disagreement of the stations in distances and coordinates, before and after calibration.
 
     None for ranges without angles, for a single station, and if a station does not see all targets.
@@ -75,7 +77,7 @@ class LayoutEvaluation(ValueEquality):
     """Rules of the plan that the layout breaks."""
 
     def blocked_sight_sentences(self) -> list[str]:
-        """Sentence, as a list, on the number of blocked sights and the first of them; empty for none."""
+        """Sentence with the number of blocked sights and the first of them, in a list; empty if no sight is blocked."""
         names, targets = self.survey.station_names, self.survey.target_names
         is_shown = ~self.visibility.is_marginal[~self.visibility.is_visible]
         pairs = self.visibility.invisible_pair_sentences(names, targets)
@@ -85,9 +87,9 @@ class LayoutEvaluation(ValueEquality):
         return [f"{len(blocked)} sights are blocked: {first}{more}."] if blocked else []
 
     def marginal_sight_sentences(self, position_tolerance: float) -> list[str]:
-        """Sentence, as a list, on marginal sights, which do not count; empty for none.
+        """Sentence on marginal sights, which are free from a part of the permitted positions only; empty list if none.
 
-        `position_tolerance` [m] is the distance from its planned position at which an instrument may stand.
+        `position_tolerance` [m] is the largest distance of a station from its planned position.
         """
         names, targets = self.survey.station_names, self.survey.target_names
         pairs = [f"{names[s]} to {targets[t]}" for s, t in np.argwhere(self.visibility.is_marginal).tolist()]
@@ -103,16 +105,17 @@ class LayoutEvaluation(ValueEquality):
 
 @dataclass(frozen=True)
 class StationCountResult:
-    """Result of the searches for layouts with a given number of stations."""
+    """Result of the searches for layouts with a certain number of stations."""
 
     n_stations: int
-    """Number of stations."""
+    """Number of stations of the layouts."""
     max_tolerance_ratio: float | None
-    """Largest ratio of error to tolerance in the best layout; None if there is no layout."""
+    """Largest ratio of point error to tolerance in the best layout; None if the search found no layout."""
     has_layout: bool
     """True if the search found a layout in which every point has the required sights."""
-    unseen_points_text: str = ""
-    """Names of the points that lack sights in the layout with the fewest missing sights; empty if none is missing."""
+    points_lacking_sights_text: str = ""
+    """Names of points that too few stations see in the layout with the fewest missing sights; empty if none is missing.
+    """
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,10 +123,12 @@ class PlannedNetwork(ValueEquality):
     """Planned network with its evaluations as arrays, from which the result `Plan` is created."""
 
     plan_file: PlanFile
+    """Plan file with the goal, the rules and the settings of the search."""
     scenario: Scenario
+    """Scenario with hall, instrument, gauge and targets."""
     search_space: SearchSpace
     """Search space for the chosen measuring procedure."""
-    reference_evaluation: LayoutEvaluation | None
+    scenario_layout_evaluation: LayoutEvaluation | None
     """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined, or if the
     plan file describes a hall instead of a scenario.
     """
@@ -136,26 +141,27 @@ class PlannedNetwork(ValueEquality):
     tolerance_check: ToleranceCheck | None = None
     """Check of the planned layout against the tolerances; None without tolerances."""
     loss_checks: tuple[ToleranceCheck, ...] = ()
-    """Checks of the tolerances without each station, then without each sight of a point with a tolerance."""
+    """Checks of the tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     tradeoff_points: tuple[TradeoffPoint, ...] = ()
-    """Points of the curve of cost against quality, in ascending order of duration."""
+    """Points of the trade-off curve between cost and quality, in ascending order of duration."""
     start_objectives: tuple[float, ...] = ()
-    """Final objective of each independent search with the chosen procedure, the best first."""
+    """Objective at the end of the search from each initial layout by the chosen procedure, in ascending order."""
     station_count_results: tuple[StationCountResult, ...] = ()
-    """Result for each number of stations, if the plan asks for the fewest stations."""
+    """Result for each number of stations that was searched, if the plan asks for the fewest stations; otherwise empty.
+    """
     is_stopped: bool = False
     """True if the user stopped the search."""
 
     @property
     def verdict(self) -> PlanVerdict | None:
-        """Verdict on the layout by rules and tolerances; None without tolerances."""
+        """Verdict whether the layout meets the rules and tolerances of the plan; None without tolerances."""
         if self.tolerance_check is None:
             return None
         return plan_verdict(self.tolerances, self.tolerance_check, self.loss_checks, self.layout.broken_rules)
 
 
 def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> PlannedNetwork:
-    """Planned network whose layout is that of `survey`, without a search."""
+    """Planned network whose layout is that of `survey`, evaluated without a search."""
     built, demands = planned_construction(scenario), PointTolerances.from_plan_file(plan_file)
     site = make_search_space(
         plan_file,
@@ -171,7 +177,7 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
         plan_file=plan_file,
         scenario=scenario,
         search_space=site,
-        reference_evaluation=_reference_evaluation(plan_file, scenario, site, built, survey),
+        scenario_layout_evaluation=_scenario_layout_evaluation(plan_file, scenario, site, built, survey),
         layout=layout,
         tolerances=demands,
         tolerance_check=check_tolerances(survey, demands, built) if demands else None,
@@ -185,7 +191,10 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
 def objective_and_qualities(
     survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> tuple[float, dict[str, float]]:
-    """Value of the objective for a survey, and values of the qualities with a weight in it, by name."""
+    """Objective of the layout of a survey, and values of the qualities that have a weight in the objective, by name.
+
+    `construction` is the geometric error model whose parameters a calibration would estimate.
+    """
     reducer = LayoutScorer(survey, construction, objective.effects)
     stations = np.arange(len(survey.station_positions))
     reduced = reducer.evaluate_layouts(
@@ -195,7 +204,7 @@ def objective_and_qualities(
     )
     if survey.air is not None and objective.needs_target_errors:  # the search includes turbulence only
         rms = (
-            LayoutInformation.from_survey(survey, construction).weighted_target_rms
+            ExpectedPrecision.from_survey(survey, construction).weighted_target_rms
             if np.isfinite(reduced.weighted_target_rms[0])
             else np.nan
         )
@@ -210,16 +219,17 @@ def evaluate_layout(
 ) -> LayoutEvaluation:
     """Evaluation of the layout of `survey` before measurement, by the rules of `search_space`.
 
-    Raises NetworkError for undetermined poses or targets.
+    `construction` is the geometric error model whose parameters a calibration would estimate. Raises NetworkError for
+    undetermined poses or targets.
     """
     table = layout_visibility(search_space, survey)
     survey = survey.replace(is_visible=table.is_visible)
     _require_sight_of_every_target(survey, table)
-    information = LayoutInformation.from_survey(with_aimed_nests(search_space, survey), construction)
+    information = ExpectedPrecision.from_survey(with_aimed_nests(search_space, survey), construction)
     broken = search_space.broken_rules(survey)
     value, qualities = objective_and_qualities(survey, objective, construction)
     compared = survey.records_angles and survey.is_visible.all() and len(survey.station_positions) > 1
-    expected = CriteriaPredictor.from_information(information).expected_criteria() if compared else None
+    expected = DisagreementPredictor.from_expected_precision(information).expected_disagreement() if compared else None
     return LayoutEvaluation(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
@@ -241,7 +251,8 @@ def _require_sight_of_every_target(survey: PlannedSurvey, visibility: Visibility
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
     """Visibility between stations and targets; fixed nests without a declared normal are aimed at the stations.
 
-    A sight counts only if it is free from every position within `SearchSpace.position_tolerance` of its station.
+    A sight is free only if it is free from every position within `SearchSpace.position_tolerance` of its planned
+    station.
     """
     normal, aimed = (
         nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
@@ -268,7 +279,7 @@ def _is_aimed_nest(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
-    """Survey whose set-up declares the normals of fixed nests, aimed at the stations of the survey."""
+    """Survey in which fixed nests without a declared normal have the normal that aims them at the stations."""
     targets, normals = (
         dict(survey.setup.targets),
         nest_normals_of_smallest_incidence(survey.station_positions, survey.target_points)[0],
@@ -280,16 +291,16 @@ def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> Planne
     return survey.replace(setup=survey.setup.model_copy(update={"targets": targets}))
 
 
-def _reference_evaluation(
+def _scenario_layout_evaluation(
     file: PlanFile,
     scenario: Scenario,
     search_space: SearchSpace,
     construction: GeometricErrorModel,
     survey_with_procedure: PlannedSurvey,
 ) -> LayoutEvaluation | None:
-    """Evaluation of the layout in the scenario, measured by the faces, rounds and times of `survey_with_procedure`.
+    """Evaluation of the scenario's layout, measured with the faces, rounds and times of `survey_with_procedure`.
 
-    It is None for a hall that the plan file describes, and for an undetermined layout.
+    None if the plan file describes a hall instead of a scenario, and for an undetermined layout.
     """
     if file.workshop is not None:
         return None
@@ -303,7 +314,7 @@ def _reference_evaluation(
     )
     try:
         return evaluate_layout(
-            search_space.replace(survey=reference, min_sights=least, position_tolerance=0.0),
+            search_space.replace(survey=reference, min_sights_per_target=least, position_tolerance=0.0),
             reference,
             layout_objective(file, reference),
             construction,

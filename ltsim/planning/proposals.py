@@ -14,38 +14,41 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 
 
 class MeasurementProposalEntry(Entry):
-    """Proposal of an additional measurement."""
+    """Proposal of an additional measurement with its duration and expected benefit."""
 
     action: str
-    """Instruction for the measurement, as a text."""
+    """Instruction to the user who makes the measurement."""
     kind: str = ""
-    """Kind of measurement: pointings, return, station, survey, length or reflectors."""
+    """Kind of measurement: pointings (from the last station), return (repetition of a previous set-up), station (new
+    set-up), survey (all stations measured again), length (calibration of a distance) or reflectors (additional
+    targets)."""
     minutes: Finite
     """Duration of the measurement [min]."""
     remaining_sigma_fraction: Finite
-    """Ratio of the geometric mean of the instrument parameters' standard deviations after the measurement to that
-    before; below 1 is better.
-    """
+    """Ratio of standard deviations after the measurement to those before (geometric mean over the instrument
+    parameters); below 1 is better."""
     most_improved_parameter: str = ""
     """Instrument parameter whose standard deviation the measurement reduces most."""
     most_improved_sigma_fraction: Finite = 1.0
-    """Ratio of the standard deviation of `most_improved_parameter` after the measurement to that before; below 1 is
-    better."""
+    """Standard deviation of `most_improved_parameter` after the measurement divided by that before; below 1 is better.
+    """
     chi2_differences: dict[str, Finite] = Field(default_factory=dict)
-    """Expected difference of chi-square, after the measurement, between each other of the `compared_effects` of the
-    result and the first one, by name of the former."""
+    """Expected chi-square after the measurement with each further effect of `NextMeasurement.compared_effects`, minus
+    chi-square with the first effect, by name of the further effect."""
     separated_effects: tuple[str, ...] = ()
-    """Effects that the measurement would separate from the first of the `compared_effects` of the result."""
+    """Further effects of `NextMeasurement.compared_effects` that the measurement would distinguish from the first one.
+    """
     separates_all_effects: bool = False
-    """True if the measurement would separate all other `compared_effects` of the result from the first one."""
+    """True if the measurement would distinguish all further effects of `NextMeasurement.compared_effects` from the
+    first one."""
     position_mm: Vector | None = None
-    """Position of the head at a new set-up, workshop frame; null for other measurements."""
+    """Position of the tracker head [mm] at a new set-up, in the workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
-    """Direction of azimuth zero at a new set-up; null for other measurements."""
+    """Direction of azimuth zero [deg] at a new set-up; null for other measurements."""
 
     @classmethod
     def from_proposal(cls, proposal: MeasurementProposal) -> Self:
-        """Entry of the result file for a proposal."""
+        """Entry of next.json for a proposal of an additional measurement."""
         p, there = proposal, proposal.candidate.added_setup_on_floor_plan
         return cls(
             action=p.candidate.instruction,
@@ -64,7 +67,7 @@ class MeasurementProposalEntry(Entry):
 
 PROPOSALS_TABLE = Table(
     "next.csv",
-    "proposals of further measurements in the order of benefit",
+    "proposals of additional measurements, the best first",
     model_columns(
         MeasurementProposalEntry,
         "kind minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction "
@@ -72,17 +75,21 @@ PROPOSALS_TABLE = Table(
         "action",
         minutes={"title": "time", "unit": "min", "display_format": ".0f"},
         remaining_sigma_fraction={"title": "factor on sigmas", "display_format": ".2f"},
-        most_improved_parameter={"title": "most for"},
-        most_improved_sigma_fraction={"title": "factor for it", "display_format": ".2f"},
+        most_improved_parameter={"title": "most improved parameter"},
+        most_improved_sigma_fraction={"title": "factor on its sigma", "display_format": ".2f"},
         separated_effects={"kind": "text"},
         separates_all_effects={"kind": "text"},
         action={"title": "measurement"},
     ),
 )
+"""Table next.csv: proposed measurements, the most beneficial first."""
 
 
 def _best_yaw_per_position(proposals: Sequence[MeasurementProposalEntry]) -> tuple[MeasurementProposalEntry, ...]:
-    """Proposals without new stations that differ from an earlier one in yaw only."""
+    """Proposals without those new stations that differ from a better proposal only in their yaw.
+
+    `proposals` has the best proposal first.
+    """
     best_by_place: dict[object, MeasurementProposalEntry] = {}
     for number, proposal in enumerate(proposals):
         place = proposal.position_mm if proposal.kind == "station" else None
@@ -91,29 +98,31 @@ def _best_yaw_per_position(proposals: Sequence[MeasurementProposalEntry]) -> tup
 
 
 class NextMeasurement(ResultFile):
-    """Result of `next_measurement`, the content of `next.json`, which `plan --after` writes."""
+    """Result of `next_measurement` (`ltsim plan --after`), the content of `next.json`."""
 
     FILE: ClassVar[str] = "next.json"
     format: Literal["ltsim-next/1"] = "ltsim-next/1"
     """Format and version of this file."""
     diagnosis: str = ""
-    """Result of the diagnosis that preceded the ranking, as a sentence; empty without a diagnosis."""
+    """Sentence with the result of the diagnosis that preceded the ranking; empty without a diagnosis."""
     compared_effects: tuple[str, ...] = ()
-    """Effects that each explain the recording, and that the measurement should separate."""
+    """Effects each of which alone explains the recording; the measurement should distinguish them."""
     present_chi2_differences: dict[str, Finite] = Field(default_factory=dict)
-    """Difference of chi-square, in the present recording, between each other of the `compared_effects` and the first
-    one, by name of the former."""
+    """Chi-square of the present recording with each further effect of `compared_effects`, minus chi-square with the
+    first effect, by name of the further effect."""
     advice: str = ""
-    """Action that the user should take first, as a sentence."""
+    """Sentence with the action that the user should take first."""
     site: str = ""
-    """Plan whose permitted floor, obstacles and lines of sight new stations respect; empty without a plan."""
+    """Name of the plan whose floor, obstacles and lines of sight limit new stations; empty without a plan."""
     proposals: tuple[MeasurementProposalEntry, ...] = Field(min_length=1)
-    """Proposals of additional measurements in the order of the ranking, the best first; for each position of a new
-    station only the best yaw."""
+    """Proposals of additional measurements, the best first; for each position of a new station only the best yaw."""
 
     @classmethod
     def from_ranking(cls, ranking: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
-        """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`."""
+        """Result from a ranking of proposals.
+
+        `source` is the recording for which the measurements are proposed, `site` the plan that limits new stations.
+        """
         return cls(
             recording=source,
             compared_effects=ranking.compared_explanations,
@@ -139,7 +148,7 @@ class NextMeasurement(ResultFile):
         )
 
     def _chi2_differences_table(self) -> Table:
-        """Table of chi-square differences between the first effect and each other one: at present, after proposals."""
+        """Table of chi-square differences between each further effect and the first, now and after each proposal."""
         rivals = self.compared_effects[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", n_digits=3) for name in rivals
@@ -147,7 +156,7 @@ class NextMeasurement(ResultFile):
         columns = (
             *text_columns(measurement="action"),
             *against,
-            *text_columns(decides="yes if it separates all of them"),
+            *text_columns(decides="yes if the measurement distinguishes all effects"),
         )
         table_rows = [["current recording", *(self.present_chi2_differences.get(name, 0.0) for name in rivals), ""]]
         table_rows += [
@@ -159,4 +168,4 @@ class NextMeasurement(ResultFile):
             for p in self.proposals
             if p.chi2_differences
         ]
-        return Table("separation.csv", "separation of the explanations", columns).with_rows(table_rows)
+        return Table("separation.csv", "separation of the compared effects", columns).with_rows(table_rows)

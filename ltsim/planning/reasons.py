@@ -1,4 +1,4 @@
-"""Sentences that give the result of planning and the reasons for it, with numbers."""
+"""Sentences for users on the result of planning and the reasons for it, with numbers."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.objective import (
     DIAGNOSIS_QUALITY_NAME,
     INSTRUMENT_QUALITY_NAME,
@@ -36,7 +36,7 @@ CRITERION_PHRASES = {
     "A": "in the root mean square over all parameters (A-optimality)",
     "E": "in the worst combination (E-optimality)",
 }
-"""Phrase for each optimality criterion of the instrument parameters."""
+"""Phrase for users on each optimality criterion (D, A, E) of the instrument parameters."""
 
 
 def reason_sentences(plan: PlannedNetwork) -> list[str]:
@@ -58,7 +58,7 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _weighted_qualities_text(plan: PlannedNetwork) -> str:
-    """Text of the values of the qualities that have a weight in the plan's goal."""
+    """Text with the value of each quality that has a weight in the plan's goal."""
     templates = {
         INSTRUMENT_QUALITY_NAME: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
@@ -71,17 +71,20 @@ def _weighted_qualities_text(plan: PlannedNetwork) -> str:
 
 
 def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
-    """Text of the root mean square point error of a layout, and of the weighted one [m] if target weights differ."""
-    text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
+    """Text with the root mean square point error of a layout, and the weighted one [m] if weights of targets differ."""
+    text = (
+        f"targets known to {layout.expected_precision.target_rms / MICROMETRE:.1f} um (root mean square of all points"
+    )
     weighted = f"; {_quality_value_text(TARGETS_QUALITY_NAME, weighted_rms)} in the search"
     return f"{text}{weighted if layout.survey.target_weights else ''})"
 
 
 def _result_sentences(plan: PlannedNetwork) -> list[str]:
+    """Sentences with the extent and the qualities of the planned layout, and the verdict or the worst point."""
     work = f"{plan.layout.survey.extent_text}; {_weighted_qualities_text(plan)}"
     if plan.verdict is not None:
         return [f"{plan.verdict.sentences}.", f"{work}."]
-    sigma = plan.layout.information.target_point_errors
+    sigma = plan.layout.expected_precision.target_point_errors
     worst_index = int(np.argmax(sigma))
     name = plan.layout.survey.target_names[worst_index]
     broken = (
@@ -102,7 +105,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     if not plan.station_count_results:
         return []
     *fewer, last = plan.station_count_results
-    outcomes = _station_count_clauses(fewer, plan.search_space.min_sights)
+    outcomes = _station_count_clauses(fewer, plan.search_space.min_sights_per_target)
     meets_tolerance = last.max_tolerance_ratio is not None and is_tolerance_met(last.max_tolerance_ratio)
     n_stations = len(plan.layout.survey.station_positions)
     sentences = (
@@ -120,7 +123,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
             if last.n_stations < plan.plan_file.stations.max_count:
                 sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
-        outcomes = _station_count_clauses(plan.station_count_results, plan.search_space.min_sights)
+        outcomes = _station_count_clauses(plan.station_count_results, plan.search_space.min_sights_per_target)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
     return [
         *sentences,
@@ -129,7 +132,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _station_count_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
-    """Clauses on the result for each number of stations; numbers with the same result share a clause.
+    """Clauses with the result for each number of stations; numbers with equal results share a clause.
 
     `min_stations` is the number of stations that must see each point.
     """
@@ -145,8 +148,8 @@ def _station_count_clauses(results: Sequence[StationCountResult], min_stations: 
     def counts_clause(text: str, results: Sequence[StationCountResult]) -> str:
         first, last = results[0].n_stations, results[-1].n_stations
         nearest = (
-            f" (the closest layout lacks sights of {results[-1].unseen_points_text})"
-            if results[-1].unseen_points_text
+            f" (the closest layout lacks sights of {results[-1].points_lacking_sights_text})"
+            if results[-1].points_lacking_sights_text
             else ""
         )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"
@@ -155,8 +158,8 @@ def _station_count_clauses(results: Sequence[StationCountResult], min_stations: 
 
 
 def _air_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence on the uncertainty of the air that the results include, as a list; empty if it is neglected."""
-    adjustment = plan.layout.information.adjustment
+    """Sentence on the uncertainty of the air that the point errors include, in a list; empty if it is neglected."""
+    adjustment = plan.layout.expected_precision.adjustment
     air = relevant_air_uncertainty(adjustment)
     if air is None:
         return []
@@ -165,7 +168,8 @@ def _air_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _reference_sentences(plan: PlannedNetwork) -> list[str]:
-    reference, chosen = plan.reference_evaluation, plan.layout
+    """Sentences that compare the planned layout with the layout in the scenario."""
+    reference, chosen = plan.scenario_layout_evaluation, plan.layout
     if plan.plan_file.workshop is not None:
         return []
     if reference is None:
@@ -187,8 +191,8 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
             f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
     sentences += _parameter_sentences(reference, chosen)
-    if reference.expected_criteria is not None and chosen.expected_criteria is not None:
-        a, b = reference.expected_criteria, chosen.expected_criteria
+    if reference.expected_disagreement is not None and chosen.expected_disagreement is not None:
+        a, b = reference.expected_disagreement, chosen.expected_disagreement
         sentences.append(
             "For errors within the specification, calibration is expected to reduce the disagreement of the stations "
             f"in the distances between targets by {b.distance_improvement[0]:.0f} % and in the coordinates of targets "
@@ -199,15 +203,16 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_value_text(name: str, value: float) -> str:
-    """Text of the value of the quality `name`: the point error of targets in um, other qualities without unit."""
+    """Text with the value of the quality `name`: the point error of targets in um, other qualities without unit."""
     return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY_NAME else f"{value:.3f}"
 
 
 def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
+    """Sentences on the parameters whose sigma differs most between `evaluation` and the layout in the scenario."""
     entry_pairs = list(
         zip(
-            PlannedParameterEntry.from_information(reference.information),
-            PlannedParameterEntry.from_information(evaluation.information),
+            PlannedParameterEntry.from_expected_precision(reference.expected_precision),
+            PlannedParameterEntry.from_expected_precision(evaluation.expected_precision),
             strict=True,
         )
     )
@@ -228,13 +233,13 @@ def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluati
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence, for each station, on the loss of quality without the station, and the parameter that gets worst."""
-    survey, now, qualities = plan.layout.survey, plan.layout.information, plan.layout.qualities
+    """Sentence for each station with the loss of quality without it, and the parameter whose sigma grows most."""
+    survey, now, qualities = plan.layout.survey, plan.layout.expected_precision, plan.layout.qualities
     objective, sentences = LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0}, plan.plan_file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
         remaining = survey.without_station(s)
         try:
-            without = LayoutInformation.from_survey(remaining, now.construction)
+            without = ExpectedPrecision.from_survey(remaining, now.construction)
         except NetworkError as problem:
             sentences.append(f"{name} is indispensable: without it, {problem}.")
             continue
@@ -248,8 +253,8 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
         most = int(np.argmax(ratio))
         x, y, _ = survey.station_positions[s]
         sentences.append(
-            f"Without {name} at ({x:.2f}, {y:.2f}) m the quality is {100 * (worse - 1):.0f} % worse, most for "
-            f"{now.construction.parameter_names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
+            f"Without {name} at ({x:.2f}, {y:.2f}) m the quality is {100 * (worse - 1):.0f} % worse; the sigma of "
+            f"{now.construction.parameter_names[most]} grows most, by {100 * (ratio[most] - 1):.0f} %."
         )
     return sentences
 
@@ -276,7 +281,7 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
         sentences.append(
             f"{', '.join(edge)} {verb} at the edge of the allowed floor; a larger floor there may improve the layout."
         )
-    if site.min_sights < len(names):
+    if site.min_sights_per_target < len(names):
         least = survey.is_visible.sum(axis=0).min()
         sentences.append(f"Every reflector is visible from at least {least} station{'s' if least > 1 else ''}.")
     if site.obstacles is not None:
@@ -298,11 +303,11 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
 
 
 def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Point of the trade-off curve with the fewest stations whose objective is not above that of the scenario's layout.
+    """Point of the trade-off curve with the fewest stations and an objective at most that of the scenario's layout.
 
     Only points with the faces and rounds of the plan are compared. None if there is no such point.
     """
-    if plan.reference_evaluation is None or not plan.reference_evaluation.qualities:
+    if plan.scenario_layout_evaluation is None or not plan.scenario_layout_evaluation.qualities:
         return None
     goal = _reference_objective(plan)
     equal_options = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
@@ -310,8 +315,8 @@ def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoi
 
 
 def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on fewer stations that match the scenario's layout, and on the additional time of a better layout."""
-    sentences, few, reference = [], fewest_stations_not_worse_than_scenario(plan), plan.reference_evaluation
+    """Sentences on fewer stations that match the scenario's quality, and on the additional time of a better layout."""
+    sentences, few, reference = [], fewest_stations_not_worse_than_scenario(plan), plan.scenario_layout_evaluation
     if (
         few is not None
         and reference is not None
@@ -322,8 +327,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
             f"{len(few.survey.station_positions)} stations suffice to match the "
             f"{len(reference.survey.station_positions)} of the "
             f"scenario's layout ({_quality_value_text(goal, few.objective_value)} against "
-            f"{_quality_value_text(goal, _reference_objective(plan))}) in "
-            f"{few.hours:.1f} h."
+            f"{_quality_value_text(goal, _reference_objective(plan))}) in {few.hours:.1f} h."
         )
     n_stations = len(plan.layout.survey.station_positions)
     now = next(
@@ -347,47 +351,47 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
         time = f"{abs(60 * change):.0f} min {'more' if change > 0 else 'less'}"
         sentences.append(
             f"A layout of {len(best.survey.station_positions)} stations, {faces}, {rounds} is "
-            f"{now.objective_value / best.objective_value:.1f} "
-            f"times better and takes {time}."
+            f"{now.objective_value / best.objective_value:.1f} times better and takes {time}."
         )
     return sentences
 
 
 def _reference_objective(plan: PlannedNetwork) -> float:
     """Value of the plan's objective for the layout in the scenario; infinite without an evaluation of that layout."""
-    if plan.reference_evaluation is None:
+    if plan.scenario_layout_evaluation is None:
         return float("inf")
-    survey = plan.reference_evaluation.survey
+    survey = plan.scenario_layout_evaluation.survey
     return objective_and_qualities(
-        survey, layout_objective(plan.plan_file, survey), plan.layout.information.construction
+        survey, layout_objective(plan.plan_file, survey), plan.layout.expected_precision.construction
     )[0]
 
 
 def _undetermined_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence on the number of undetermined combinations of parameters, and a measurement that determines most.
+    """Sentence with the number of undetermined combinations of parameters and the measurement that determines most.
 
-    The result is a list, empty if all combinations are determined.
+    It is in a list, which is empty if all combinations are determined.
     """
-    information = plan.layout.information
+    information = plan.layout.expected_precision
     count = len(information.undetermined_combinations)
     if not count:
         return []
     phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
     measured = Counter(m.instruction for m in information.measurements_for_undetermined() if m.instruction)
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
-    return [f"{phrase} not determined by this layout (see the table){cure}."]
+    return [f"{phrase} not determined by this layout (see the table of undetermined combinations){cure}."]
 
 
 def _search_sentences(plan: PlannedNetwork) -> list[str]:
+    """Sentence on the agreement of the results of the independent searches, in a list."""
     n_searches = len(plan.start_objectives)
     if plan.is_stopped:
-        return ["The search was stopped; this is the best layout until then."]
+        return ["The search was stopped; this is the best layout that it had found."]
     if n_searches < 2:
         return []
     n_searches_near_best = sum(value < 1.02 * plan.start_objectives[0] for value in plan.start_objectives)
     return [
-        f"{n_searches_near_best} of {n_searches} independent searches ended within 2 % of the best objective, the "
-        f"worst at {plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times it; "
+        f"{n_searches_near_best} of {n_searches} independent searches ended within 2 % of the best objective; the "
+        f"worst objective is {plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times the best; "
         + (
             "a much better layout is unlikely."
             if n_searches_near_best > 1

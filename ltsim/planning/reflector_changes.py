@@ -1,4 +1,4 @@
-"""Changes of single reflectors of a planned layout (moves, additions, removals) and their effect on the objective."""
+"""Changes of one reflector of a planned layout (move, addition, removal) and their effect on the objective."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ltsim.recordings.result_file import Entry, Finite, Vector
 
 
 def to_millimetres(point: Floats, decimals: int = 1) -> Vector:
-    """Coordinates `point` (3,) [m] in millimetres, rounded to a number of `decimals`, for a result file."""
+    """Coordinates (3,) in millimetres, rounded to a number of `decimals`, of a `point` (3,) [m], for a result file."""
     x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in point)
     return x, y, z
 
 
 def to_degrees(angle: float) -> float:
-    """Angle [rad] converted to degrees (0 to 360) for a result file."""
+    """Angle in degrees (0 to 360) of an `angle` [rad], rounded to 0.01 deg, for a result file."""
     return round(float(angle) / DEGREE % 360, 2)
 
 
@@ -32,7 +32,7 @@ class ReflectorChangeEntry(Entry):
     """Change of one reflector of a plan: moved, added or removed."""
 
     kind: Literal["move", "add", "remove"]
-    """Type of the change."""
+    """Kind of the change: a reflector is moved, added or removed."""
     sentence: str = ""
     """Sentence on the change and its benefit."""
     reflector: str = ""
@@ -40,16 +40,16 @@ class ReflectorChangeEntry(Entry):
     new_place: str = ""
     """Name of the new position of the reflector; empty for a removal."""
     position_mm: Vector | None = None
-    """Coordinates of the new position in the hall frame; null for a removal."""
+    """Coordinates of the new position [mm] in the hall frame; null for a removal."""
     target_rms_decrease_um: Finite
-    """Decrease by the change of the weighted root mean square point error of all reflectors except the changed one
+    """Decrease by the change of the weighted root mean square point error [um] of all reflectors except the changed one
     (inner constraints); negative for an increase."""
     objective_ratio: Finite
-    """Objective after the change divided by that of the plan; if only targets have a weight in the goal, the point
-    error of all other targets after the change divided by that before. Below 1 is better."""
+    """Objective after the change divided by that of the plan; below 1 is better. If only targets have a weight in the
+    goal, it is the weighted point error of all other targets after the change divided by that before."""
     most_affected_parameter: str = ""
     """Instrument parameter (or target, if only targets have a weight in the goal) whose standard deviation the change
-    reduces most; if a reflector is removed, the one whose standard deviation rises most."""
+    reduces most. For a removal, the one whose standard deviation rises most."""
     most_affected_ratio: Finite = 1.0
     """Standard deviation of `most_affected_parameter` after the change, divided by that before; below 1 is better."""
 
@@ -64,23 +64,25 @@ class ReflectorChangeEntry(Entry):
 
 MIN_REPORTED_IMPROVEMENT = 0.002
 """Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
-MAX_NEGLIGIBLE_CHANGE = 5e-4
-"""Largest relative change of the objective that is reported as no difference."""
-MAX_REPORTED_CHANGES = 3
+MAX_NEGLIGIBLE_OBJECTIVE_CHANGE = 5e-4
+"""Largest relative change of the objective at which a sentence says that a change of a reflector makes no difference.
+"""
+MAX_REPORTED_CHANGES_PER_KIND = 3
 """Largest number of reported changes of each kind (moves, additions, removals)."""
 
 ChangeKind = Literal["move", "add", "remove"]
+"""Kind of a change of a reflector."""
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
-"""Kinds of changes of a reflector."""
+"""Kinds of changes of a reflector: move, add, remove."""
 ReflectorChangeResult = tuple[float, int | None, int | None, Floats]
-"""Ratio of the objective after a change to that before, index of the removed or moved reflector (None for an addition),
-index of its new position (None for a removal), and resulting normal matrix (K, K) of the K unknowns without targets.
-"""
+"""Result of a change of a reflector, four values: ratio of the objective after the change to that before; index of the
+removed or moved reflector (None for an addition); index of its new position (None for a removal); normal matrix (K, K)
+after the change, for K unknowns without targets."""
 
 
 @dataclass(frozen=True)
 class ReflectorChanges:
-    """Results of all moves, additions and removals of one reflector, each with all other reflectors unchanged."""
+    """Results of all changes (moves, additions, removals) of a single reflector while all other reflectors stay."""
 
     reported_changes: tuple[ReflectorChangeEntry, ...]
     """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
@@ -94,14 +96,14 @@ class ReflectorChanges:
         """Sentence on the numbers of evaluated and of useful moves and additions."""
         if not self.n_evaluated_by_kind["move"] + self.n_evaluated_by_kind["add"]:
             return (
-                "No other place for a reflector was tested. Give candidate places in reflectors.candidate_bodies, "
+                "No change of a reflector was tested. Give candidate places in reflectors.candidate_bodies, "
                 "reflectors.places or reflectors.surfaces, and in reflectors.movable_points the points that may move."
             )
         evaluated, useful = self.n_evaluated_by_kind, self.n_useful_by_kind
         return (
-            f"Tested one at a time: {evaluated['move']} moves of a reflector ({useful['move']} help), "
-            f"{evaluated['add']} additional reflectors ({useful['add']} help); all others gain less than "
-            f"{100 * MIN_REPORTED_IMPROVEMENT:.1f} %."
+            f"Tested one at a time: {evaluated['move']} moves of a reflector ({useful['move']} useful), "
+            f"{evaluated['add']} additional reflectors ({useful['add']} useful). A change is useful if it improves the "
+            f"objective by at least {100 * MIN_REPORTED_IMPROVEMENT:.1f} %."
         )
 
 
@@ -114,7 +116,8 @@ def evaluate_reflector_changes(
 ) -> ReflectorChanges:
     """Results of every move, addition and removal of a single reflector of the layout of `survey`.
 
-    Reflectors flagged in `is_fixed` (T,), of T targets, do not change. Candidate positions are those of `search_space`.
+    Reflectors flagged in `is_fixed` (T,), of T targets, do not change. New positions are the candidate places of
+    `search_space`. `construction` is the geometric error model whose parameters a calibration would estimate.
     """
     if is_fixed.all() and search_space.candidate_reflector_places is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
@@ -126,7 +129,10 @@ def evaluate_reflector_changes(
 
 
 class _ChangeEvaluator:
-    """Evaluation of changes of single reflectors of a layout whose reflectors are at their present positions."""
+    """Evaluator of changes (move, addition, removal) of single reflectors of a layout.
+
+    `spacing` [m] is the smallest permitted distance between reflectors.
+    """
 
     def __init__(self, movable_reflectors: ReflectorPlaces, objective: LayoutObjective, spacing: float) -> None:
         self.movable_reflectors, self.normal_matrix_terms, self.objective = (
@@ -154,8 +160,8 @@ class _ChangeEvaluator:
         """Objectives (B,) of B layouts with n reflectors at `occupied_places` (B, n), divided by the plan's objective.
 
         Places are given by index. `normal_matrices` (B, K, K) are those of the layouts, for K unknowns. If only targets
-        have a weight in the goal, the result is the ratio of point errors of all reflectors but the changed one, at
-        `other_places`.
+        have a weight in the goal, the result is the ratio of the point errors of the reflectors at `other_places`,
+        which do not change.
         """
         if self._has_target_goal_only:
             rms = self.normal_matrix_terms.weighted_target_rms
@@ -171,17 +177,19 @@ class _ChangeEvaluator:
         The K unknowns of the normal matrix are poses, gauge targets and parameters.
         """
         n_parameters = self.normal_matrix_terms.scorer.construction.n_parameters
-        information = self.normal_matrix_terms.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
+        information = self.normal_matrix_terms.information_matrices(normal_matrix[None])[
+            0, :n_parameters, :n_parameters
+        ]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Indices of the candidate positions that are free and keep the spacing to the positions `used_places`."""
+        """Indices of candidate positions without reflector that keep the spacing to the positions `used_places`."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
 
     def evaluate_changes(self) -> ReflectorChanges:
-        """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
+        """Results of all moves, additions and removals of a single reflector while all other reflectors stay."""
         terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ReflectorChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
@@ -213,7 +221,7 @@ class _ChangeEvaluator:
         record_change("add", None, self._free_places(chosen))
         reported: list[ReflectorChangeEntry] = []
         for what, made in candidates.items():
-            best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
+            best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES_PER_KIND]
             reported += [
                 self._change_entry(what, *change)
                 for change in best
@@ -224,6 +232,11 @@ class _ChangeEvaluator:
     def _change_entry(
         self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
     ) -> ReflectorChangeEntry:
+        """Entry of plan.json for a change of a reflector.
+
+        `value` is the objective after the change divided by that before, `removed_index` the index of the reflector
+        that leaves its place, `place_index` that of its new place, `normal_matrix` the normal matrix after the change.
+        """
         present_indices = self.present_place_indices
         remaining_places = present_indices if removed_index is None else np.delete(present_indices, removed_index)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
@@ -256,19 +269,18 @@ class _ChangeEvaluator:
 
 def _change_sentence(change: ReflectorChangeEntry) -> str:
     """Sentence on a change and its benefit, without a full stop."""
-    if abs(1 - change.objective_ratio) < MAX_NEGLIGIBLE_CHANGE:
+    if abs(1 - change.objective_ratio) < MAX_NEGLIGIBLE_OBJECTIVE_CHANGE:
         return f"{change.action_text}: makes no difference"
     better = f"{100 * abs(1 - change.objective_ratio):.1f} % {'better' if change.objective_ratio <= 1 else 'worse'}"
     decrease = change.target_rms_decrease_um
     other = f"{abs(decrease):.2f} um {'less' if decrease >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.most_affected_ratio - 1)
-    phrase = "hardest on" if change.kind == "remove" else "most for"
     parameter = change.most_affected_parameter
-    return f"{change.action_text}: quality {better}, {other}, {phrase} {parameter} (sigma {sigma:+.1f} %)"
+    return f"{change.action_text}: quality {better}, {other}, sigma of {parameter} {sigma:+.1f} %"
 
 
 def _best_change_per_place(change_results: list[ReflectorChangeResult]) -> list[ReflectorChangeResult]:
-    """Best change for each new position of a reflector, and all removals, from results in the order of benefit."""
+    """Best change for each new position of a reflector, and all removals; `change_results` has the best ones first."""
     distinct, places = [], set()
     for change in change_results:
         if change[2] is None or change[2] not in places:

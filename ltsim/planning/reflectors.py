@@ -1,7 +1,7 @@
-"""Selection of the positions of reflectors from candidate positions (called places), for given stations.
+"""Choice of the positions of reflectors among candidate positions (called places), for given stations.
 
-Each reflector adds a separate term to the information (targets are eliminated one by one), so that the exchange of two
-places is the difference of two small matrices.
+After the elimination of the target's coordinates, each reflector contributes one term to the normal matrix of the other
+unknowns. The exchange of two places is thus the difference of two small matrices.
 """
 
 from __future__ import annotations
@@ -20,33 +20,36 @@ from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.visibility import nest_normals_of_smallest_incidence
 
 MAX_REFLECTOR_SWEEPS = 8
-"""Largest number of sweeps of exchanges over all reflectors."""
+"""Largest number of sweeps, in each of which every reflector may be exchanged once."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
-"""Distance [m] within which a candidate place counts as the present place of a reflector, and is not listed twice."""
+"""Distance [m] within which a candidate position counts as the present position of a reflector, and is not listed
+twice."""
 
 
 @dataclass(frozen=True)
 class NormalMatrixTerms:
-    """Terms of the normal matrix of the K unknowns that remain after elimination of targets (poses, gauge, parameters).
+    """Terms of the normal matrix of the K unknowns that remain after elimination of targets: poses, gauge, parameters.
 
-    There is one term for the fixed targets, and one for a reflector at each of P candidate places.
+    One term belongs to the fixed targets, and one to a reflector at each of P candidate places.
     """
 
     scorer: LayoutScorer
-    """Evaluation of layouts whose targets are the fixed ones, followed by reflectors at all places."""
+    """Evaluator of layouts whose targets are the fixed ones, followed by reflectors at all candidate positions
+    (places)."""
     fixed_normal_matrix: Floats
-    """Normal matrix (K, K) of the fixed targets, reference lengths, priors and datum, for K unknowns."""
+    """Normal matrix (K, K) of K unknowns by the fixed targets, reference lengths, priors and datum."""
     place_normal_matrices: Floats
-    """Contribution of a reflector at each of P places to the normal matrix of K unknowns, (P, K, K)."""
+    """Contribution of a reflector at each of P candidate positions (places) to the normal matrix of K unknowns, (P, K,
+    K)."""
     squared_column_norms: Floats
-    """Squared norms (K,) of the columns of the design matrix of K unknowns before elimination of targets, with
-    reflectors at all places."""
+    """Squared norms (K,) of the columns of the design matrix of K unknowns, before elimination of targets and with
+    reflectors at all candidate positions (places)."""
     target_block_inverses: Floats
-    """Inverse blocks (E, 3, 3) of the E eliminated targets: fixed ones without those of the gauge, followed by
-    reflectors at the places (`LayoutScorer.eliminate_targets`)."""
+    """Inverses (E, 3, 3) of the blocks of the E eliminated targets: fixed targets without those of the gauge, followed
+    by reflectors at all places (`LayoutScorer.eliminate_targets`)."""
     elimination_coefficients: Floats
-    """Products (E, 3, K) of the inverse blocks of E eliminated targets and their coupling blocks with K other unknowns.
-    """
+    """Products (E, 3, K) of the inverse block of each of E eliminated targets and its coupling block with K other
+    unknowns."""
 
     @classmethod
     def from_places(
@@ -54,8 +57,8 @@ class NormalMatrixTerms:
     ) -> NormalMatrixTerms:
         """Terms for reflectors at P `places` (P, 3) [m] with the S stations of a survey of T targets.
 
-        `scorer` evaluates layouts whose targets are the k fixed ones (flagged in `is_fixed`, (T,)), followed by the
-        places; `is_visible` (S, k + P) has the same order.
+        `is_fixed` (T,) flags the k fixed targets. `scorer` evaluates layouts with the fixed targets followed by the
+        places. `is_visible` (S, k + P) flags the sights, in the same order.
         """
         count, staying = len(survey.station_positions), int(is_fixed.sum())
         stations = np.arange(count)
@@ -65,7 +68,7 @@ class NormalMatrixTerms:
         base, squared_norms = (block[0] for block in scorer.eliminate_targets(alone, stations[None])[:2])
         t, x = (
             part[:, staying:]
-            for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, stations, is_visible)
+            for part in scorer.whitened_derivatives(survey.station_positions, survey.station_yaws, stations, is_visible)
         )
         rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
@@ -80,10 +83,13 @@ class NormalMatrixTerms:
         return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, squared_norms, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
-        """Normal matrix (K, K) of K unknowns, with the fixed targets and reflectors at the places of these indices."""
+        """Normal matrix (K, K) of K unknowns for the fixed targets and for reflectors at some candidate positions.
+
+        `places` holds the indices of these positions.
+        """
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
-    def information(self, normal_matrices: Floats) -> Floats:
+    def information_matrices(self, normal_matrices: Floats) -> Floats:
         """Information matrices (B, p, p) of p parameters of instrument and effects in B layouts; NaN if undetermined.
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
@@ -93,21 +99,21 @@ class NormalMatrixTerms:
         )
 
     def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
-        """Weighted root mean square point error (B,) [m] of fixed targets and n reflectors at places, in B layouts.
+        """Weighted root mean square point error (B,) [m] of the fixed targets and of n reflectors, in B layouts.
 
-        `normal_matrices` (B, K, K) are those of the layouts for K unknowns, `place_indices` (n,) or (B, n) the indices
-        of the places.
+        `normal_matrices` (B, K, K) are those of the layouts for K unknowns. `place_indices`, (n,) or (B, n), holds the
+        indices of the places of the reflectors.
         """
         rows = self._target_block_indices(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
             normal_matrices,
             self.target_block_inverses[rows],
             self.elimination_coefficients[rows],
-            self.scorer.mesh_targets[rows],
+            self.scorer.eliminated_target_indices[rows],
         )
 
     def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
-        """Point error [m], by name, of the fixed targets and of reflectors at the places with these indices.
+        """Point error [m] of each fixed target, and of reflectors at the places with these indices, by name.
 
         `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
@@ -116,23 +122,29 @@ class NormalMatrixTerms:
             normal_matrix[None],
             self.target_block_inverses[at],
             self.elimination_coefficients[at],
-            scorer.mesh_targets[at],
+            scorer.eliminated_target_indices[at],
         )[0]
-        names = [scorer.survey.target_names[t] for t in scorer.target_indices_with_gauge(scorer.mesh_targets[at])[0]]
+        names = [
+            scorer.survey.target_names[t]
+            for t in scorer.target_indices_with_gauge(scorer.eliminated_target_indices[at])[0]
+        ]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _target_block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
-        """Indices in `target_block_inverses` of the f fixed targets and of n places, (B, f + n), for B layouts."""
+        """Indices in `target_block_inverses` of f fixed targets followed by n reflectors, (B, f + n), for B layouts.
+
+        `place_indices`, (n,) or (B, n), holds the indices of the places of the reflectors.
+        """
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (n_layouts, stay)), stay + place_indices], axis=1)
 
     def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
-        """Objective (B,) of B layouts with n reflectors at the places `place_indices` (B, n).
+        """Objective (B,) of B layouts with n reflectors at the places with the indices `place_indices` (B, n).
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
         """
-        information = self.information(normal_matrices)
+        information = self.information_matrices(normal_matrices)
         rms, determined = np.full(len(normal_matrices), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
             rms[determined] = self.weighted_target_rms(normal_matrices[determined], place_indices[determined])
@@ -142,10 +154,10 @@ class NormalMatrixTerms:
 def with_reflectors_at_places(
     survey: PlannedSurvey, is_fixed: Bools, places: Floats, target_names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
-    """Survey whose targets are the fixed ones, followed by reflectors at P `places` (P, 3) [m], `target_names`.
+    """Survey whose targets are the fixed ones, followed by reflectors at P `places` (P, 3) [m].
 
-    `is_fixed` (T,) flags the k fixed ones of T targets; `is_visible` (S, k + P) flags the new targets that each of S
-    stations sees.
+    `is_fixed` (T,) flags the k fixed ones of T targets. `target_names` (P names) are those of the reflectors.
+    `is_visible` (S, k + P) flags the new targets that each of S stations sees.
     """
     keep = np.flatnonzero(is_fixed)
     n_targets = len(keep) + len(places)
@@ -160,17 +172,18 @@ def with_reflectors_at_places(
 
 @dataclass(frozen=True)
 class ReflectorPlaces:
-    """Places for movable reflectors: the present places of reflectors first, then candidates of the search space."""
+    """Positions (places) for movable reflectors: first the present positions, then candidates of the search space."""
 
     places: Floats
-    """Coordinates (P, 3) [m] of the P places."""
+    """Coordinates (P, 3) [m] of the P positions (places) where a reflector can be."""
     place_names: tuple[str, ...]
-    """Name that a reflector has at each place."""
+    """Name that a reflector gets at each of the P places."""
     n_present_places: int
-    """Number of places where there is a movable reflector at present."""
+    """Number of places, the first of all, where there is a movable reflector at present."""
     is_visible: Bools
-    """Flags (S, k + P): True where one of S stations sees one of k fixed targets, followed by P places."""
+    """Flags (S, k + P): True where a station sees a target, for S stations and k fixed targets followed by P places."""
     normal_matrix_terms: NormalMatrixTerms
+    """Contributions of the fixed targets and of a reflector at each place to the normal matrix."""
 
     @classmethod
     def from_search_space(
@@ -181,9 +194,10 @@ class ReflectorPlaces:
         objective: LayoutObjective,
         construction: GeometricErrorModel,
     ) -> ReflectorPlaces:
-        """Places that enough stations see and that keep the spacing to each other.
+        """Places that enough stations see and that keep the spacing to the fixed targets.
 
-        `is_fixed` (T,) flags those of the T targets of `survey` that do not move.
+        `is_fixed` (T,) flags those of the T targets of `survey` that do not move. `construction` is the geometric error
+        model whose parameters a calibration would estimate.
         """
         offered = (
             np.zeros((0, 3))
@@ -225,9 +239,10 @@ def choose_reflectors(
     objective: LayoutObjective,
     construction: GeometricErrorModel,
 ) -> PlannedSurvey:
-    """Survey whose movable reflectors are at the places with the smallest objective, of present and candidate places.
+    """Survey whose movable reflectors are at those present and candidate places that give the smallest objective.
 
-    Reflectors flagged in `is_fixed` (T,), of T targets, do not move. Raises InputError if too few places are visible.
+    Reflectors flagged in `is_fixed` (T,), of T targets, do not move. `construction` is the geometric error model.
+    Raises InputError if too few places are visible.
     """
     if search_space.candidate_reflector_places is None:
         return survey
@@ -252,9 +267,12 @@ def choose_reflectors(
 
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
-    """Flags (P,): True for a place that enough stations see and where a fixed nest can face all these stations."""
+    """Flags (P,): True for a place that enough stations see, in a fixed nest also within the limit of incidence.
+
+    `places` (P, 3) [m] are the coordinates.
+    """
     is_usable: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
-        search_space.min_sights, len(survey.station_positions)
+        search_space.min_sights_per_target, len(survey.station_positions)
     )
     if search_space.is_aimed_nest.any():
         is_usable &= (
@@ -271,10 +289,10 @@ def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
 
 
 def _initial_reflector_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
-    """Indices of initial places for `n_reflectors` reflectors: the present ones, then each time the farthest one.
+    """Indices of initial places for `n_reflectors` reflectors: present places first, then the farthest place each time.
 
-    The farthest place has the largest distance from all chosen ones. `is_present_place` (P,) flags the present ones of
-    the P `places` (P, 3) [m]. Raises InputError if there are too few places `spacing` [m] apart.
+    The farthest place has the largest distance from all places chosen so far. `is_present_place` (P,) flags the present
+    ones of the P `places` (P, 3) [m]. Raises InputError if there are too few places `spacing` [m] apart.
     """
     chosen: list[int] = np.flatnonzero(is_present_place).tolist()
     while len(chosen) < n_reflectors:
@@ -297,10 +315,10 @@ def pairwise_distances(places: Floats) -> Floats:
 def _exchange_places(
     table: NormalMatrixTerms, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
-    """Indices of the places after exchanges of single reflectors until no exchange improves the objective.
+    """Indices of the places of reflectors after exchanges, one reflector at a time, until none improves the objective.
 
-    The exchange algorithm is that of Fedorov. It starts from `place_indices`, and keeps reflectors at least `spacing`
-    [m] apart.
+    This is the exchange algorithm of Fedorov. It starts from the places `place_indices` and keeps reflectors at least
+    `spacing` [m] apart. `table` holds the terms of the normal matrix for P `places` (P, 3) [m].
     """
     place_indices = place_indices.copy()
     normal_matrix = table.normal_matrix(place_indices)

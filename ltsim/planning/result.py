@@ -1,4 +1,4 @@
-"""Result of planning: Python object, plan.json, tables, and the scenario of its layout for `ltsim simulate`."""
+"""Result of planning as Python object, plan.json and tables, and the scenario with its layout for `ltsim simulate`."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -34,15 +34,15 @@ from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import placed_obstacles
 
-FRAME_TEXT = (
+COORDINATE_FRAME_TEXT = (
     "the frame of the hall: the origin is a corner, z is up; yaw is the direction of azimuth zero, "
     "counter-clockwise from x"
 )
-"""Description, in the result, of the coordinate system of all coordinates in a plan."""
+"""Description of the coordinate system of all coordinates in a plan, for users."""
 
 
 class Plan(ResultFile, PlannedLayoutEntry):
-    """Result of planning, the content of `plan.json`: planned layout, reasons, comparisons, settings."""
+    """Result of planning (`ltsim plan`), the content of `plan.json`: planned layout, reasons, comparisons, settings."""
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
@@ -50,29 +50,29 @@ class Plan(ResultFile, PlannedLayoutEntry):
     title: str = ""
     """Title of the plan file or of the scenario."""
     summary: str
-    """Sentences on the result of planning: the verdict, or the extent of the measurement."""
+    """Sentences with the verdict on the goal, or with the extent of the measurement if there are no tolerances."""
     reasons: tuple[str, ...] = ()
-    """Reasons for the layout, its limits and alternatives, a sentence each."""
+    """Sentences with the reasons for the layout, its limits and its alternatives."""
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
     reference_layout: PlannedLayoutEntry | None = None
     """Layout of the scenario with its expected precision, for comparison."""
     fewest_stations: TradeoffEntry | None = None
-    """Measuring procedure with the fewest stations whose best layout is as good as that of the scenario."""
+    """Point of the trade-off curve with the fewest stations whose layout is as good as that of the scenario; null if
+    none is."""
     tradeoff_points: tuple[TradeoffEntry, ...] = ()
-    """All measuring procedures that were evaluated, in ascending order of duration."""
+    """Points of the trade-off curve between cost and quality, in ascending order of duration."""
     start_objectives: tuple[OptionalFloat, ...] = ()
-    """Final value of the objective of each independent search, the best first; smaller is better."""
+    """Objective at the end of each independent search, in ascending order; smaller is better."""
     reflector_changes: tuple[ReflectorChangeEntry, ...] = ()
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
     reflector_changes_sentence: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     obstacle_sentences: tuple[str, ...] = ()
-    """Sentence on each obstacle in the hall: type of the CAD file, size and position."""
+    """Sentence on each obstacle in the hall with the type of its CAD file, size and position."""
     goal_reached: bool | None = None
-    """True if the goal is reached: no rule is broken and all tolerances are met, after any single loss if required;
-    null without tolerances.
-    """
+    """True if the layout breaks no rule and meets all tolerances, also after any single loss if required; null without
+    tolerances."""
     tolerances_met: bool | None = None
     """True if all points meet their tolerances while no station and no sight is lost; null without tolerances."""
     loss_checks: tuple[LossCheckEntry, ...] = ()
@@ -82,33 +82,33 @@ class Plan(ResultFile, PlannedLayoutEntry):
     seed: int | None = None
     """Seed of the random draws of the search."""
     detectable_sizes: tuple[DetectableSize, ...] = ()
-    """Minimal detectable sizes of effects."""
+    """Minimal detectable size of each effect of the catalogue in this layout."""
     confusable_effects: tuple[ConfusablePair, ...] = ()
-    """Pairs of effects that the layout hardly distinguishes."""
+    """Pairs of effects that measurements in this layout hardly distinguish."""
     undetectable_effects: tuple[str, ...] = ()
-    """Effects that change no residual, so that a diagnosis cannot detect them."""
+    """Names of effects that change no residual, so that a diagnosis cannot detect them."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
 
     @classmethod
     def from_network(cls, network: PlannedNetwork) -> Self:
-        """Result with the content of the planned network `network`, which the result also keeps as arrays."""
+        """Result with the content of the planned network `network`; the network remains available as `Plan.network`."""
         sentences, few, judged = (
             reason_sentences(network),
             fewest_stations_not_worse_than_scenario(network),
             network.verdict,
         )
-        report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
+        report = catalogue_detectability(network.layout.expected_precision.adjustment, CATALOGUE)
         result = cls.from_evaluation(
             network.layout,
             network.tolerance_check,
             title=network.plan_file.title or network.scenario.title,
             summary=sentences[0],
             reasons=tuple(sentences[1:]),
-            frame=FRAME_TEXT,
+            frame=COORDINATE_FRAME_TEXT,
             reference_layout=None
-            if network.reference_evaluation is None
-            else PlannedLayoutEntry.from_evaluation(network.reference_evaluation),
+            if network.scenario_layout_evaluation is None
+            else PlannedLayoutEntry.from_evaluation(network.scenario_layout_evaluation),
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
             tradeoff_points=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
@@ -129,7 +129,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
     @property
     def network(self) -> PlannedNetwork:
-        """Planned network as arrays; raises ModelError for a plan that was read from a file."""
+        """Planned network with its evaluations as arrays; raises ModelError for a plan that was read from a file."""
         if self._network is None:
             raise ModelError("a plan read from a file has no arrays; call lt.plan with its folder and move={}")
         return self._network
@@ -198,7 +198,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             ("this plan", self),
             ("reference layout", self.reference_layout),
         ]
-        return tables.EXPECTED_CRITERIA_TABLE.with_rows(
+        return tables.EXPECTED_DISAGREEMENT_TABLE.with_rows(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
             if entry is not None and entry.expected_improvement
@@ -222,8 +222,8 @@ class Plan(ResultFile, PlannedLayoutEntry):
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
     """Copy of a plan that contains the digests of its companion files; plan and files are written to `folder`.
 
-    Without a folder nothing is written, and the result is the plan itself. `pictures` are contents of further files by
-    name.
+    Without a folder nothing is written, and the result is the plan itself. `pictures` holds the contents of additional
+    files, by file name.
     """
     if folder is None:
         return plan
@@ -231,36 +231,39 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     companions = [plan.table(name) for name in plan._tables()]
     companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
     scenario, cad = with_cad_file_copies(scenario_of_plan(network))
-    texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE: scenario_to_toml(scenario)}
+    texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE_NAME: scenario_to_toml(scenario)}
     return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
 
 def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan file and scenario from `source`: a plan file, a scenario, a name of a built-in one, or the folder of a plan.
+    """Plan file and scenario from `source`: a plan file, a scenario, a built-in name, or the folder of a plan.
 
     In a folder, the file that the interactive planner saved has priority over plan.json. Raises InputError.
     """
     folder = path_of_file_or_built_in(source)
-    if (folder / PLAN_FILE).is_file():
-        return load_plan(folder / PLAN_FILE)
+    if (folder / PLAN_FILE_NAME).is_file():
+        return load_plan(folder / PLAN_FILE_NAME)
     if not folder.is_dir():
         return load_plan(source)
-    return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO_FILE)
+    return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO_FILE_NAME)
 
 
-SCENARIO_FILE = "scenario.toml"
+SCENARIO_FILE_NAME = "scenario.toml"
 """Name of the scenario file with the plan's stations, in the plan's folder."""
-PLAN_FILE = "plan.toml"
+PLAN_FILE_NAME = "plan.toml"
 """Name of the plan file that the interactive planner saves in the folder of a plan."""
 
 
 def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
     """Scenario with the plan's stations, reflectors and measuring procedure, for `ltsim simulate`."""
-    return with_layout(plan.scenario, plan.layout.survey, plan.plan_file.title or plan.scenario.title)
+    return scenario_with_layout(plan.scenario, plan.layout.survey, plan.plan_file.title or plan.scenario.title)
 
 
-def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
-    """Scenario with stations, reflectors and measuring procedure of a planned survey, and with a table `[air]`."""
+def scenario_with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
+    """Scenario with the stations, reflectors and measuring procedure of a planned survey, and with a table `[air]`.
+
+    The title is `title`, or that of the scenario if it is empty.
+    """
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
@@ -286,7 +289,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
 
 
 def with_cad_file_copies(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """Scenario whose obstacles name CAD files in the scenario's own folder, and contents of these files by name.
+    """Scenario whose obstacles refer to CAD files in its own folder, and contents of these files by file name.
 
     Raises InputError if a file cannot be read.
     """

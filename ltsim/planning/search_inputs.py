@@ -38,23 +38,23 @@ from ltsim.simulation.workshop import (
 )
 
 MAX_REFLECTOR_PLACES = 3_000
-"""Largest number of candidate positions (places) of reflectors of a plan: the search holds the distances of all pairs,
-70 MB at this limit, and 7 kB for each place.
-"""
+"""Largest number of candidate positions (places) of reflectors in a plan. The search holds the distances of all pairs
+(70 MB at this limit), and 7 kB for each place."""
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
 RANGE_ONLY_OBSERVABLES = ("distance",)
-"""Observables of an instrument that measures distances only."""
-MIN_RANGE_STATIONS = 3
-"""Smallest number of stations whose ranges alone determine a reflector."""
+"""Names of the observables of an instrument that measures distances without angles."""
+MIN_STATIONS_FOR_RANGES_ONLY = 3
+"""Smallest number of stations that determine a reflector if they measure ranges without angles."""
 ZERO_PLACEMENT_SCATTER = PlacingSigmas(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
-"""Standard deviations of zero for the placing of stations, targets and gauge, which then stand exactly as planned."""
+"""Standard deviations of the placing of stations, targets and gauge, all zero, so that they stand exactly as planned.
+"""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
-    """Planned survey of a scenario: its layout, set-up, order and timing.
+    """Planned survey of a scenario: layout, set-up, order and timing of the measurements.
 
-    Raises InputError for an inclined station, for several trackers, and if ranges are not recorded.
+    Raises InputError for an inclined station, for several trackers, and for an instrument that does not record ranges.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
@@ -64,9 +64,7 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
     layout, work = planned_layout(scenario), scenario.work
     lean = 1.0 - layout.station_rotations[:, 2, 2]
     if lean.max() > MAX_TILT_COSINE_DEFICIT:
-        raise InputError(
-            f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs vertical stations"
-        )
+        raise InputError(f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs upright stations")
     recording, _ = simulate(scenario.model_copy(update={"placing": ZERO_PLACEMENT_SCATTER}), 0)
     return PlannedSurvey(
         setup=recording.setup,
@@ -87,10 +85,10 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
 
 
 def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
-    """Rank (S, T) of each of T targets in the order of the first round of each of S stations.
+    """Rank (S, T) of each of T targets in the order in which each of S stations measures its first round.
 
-    Targets that are not seen come last. The order is that of the times in `recording`, a simulated measurement of the
-    scenario's `layout`.
+    Targets that a station does not see come last. The order is that of the times in `recording`, a simulated
+    measurement of the scenario's `layout`.
     """
     n_targets = len(layout.target_names)
     first_ranks = np.full((len(layout.station_names), n_targets), np.inf)
@@ -103,7 +101,7 @@ def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
 def make_search_space(
     plan: PlanFile, scenario: Scenario, *, n_stations: int, n_faces: int, n_repeats: int = 1
 ) -> SearchSpace:
-    """Search space of a plan for a number of stations and a measuring procedure (faces and rounds)."""
+    """Search space of a plan for a number of stations, of faces and of rounds (`n_repeats`)."""
     survey, layout, mm, air = (
         planned_survey(scenario),
         planned_layout(scenario),
@@ -118,13 +116,13 @@ def make_search_space(
     places, names = candidate_reflector_places(plan, scenario)
     min_stations = plan.stations.min_stations_per_target
     least = n_stations if min_stations == "all" else min(min_stations, n_stations)
-    if not survey.records_angles and least < MIN_RANGE_STATIONS:
-        if n_stations < MIN_RANGE_STATIONS or plan.gives_min_stations:
+    if not survey.records_angles and least < MIN_STATIONS_FOR_RANGES_ONLY:
+        if n_stations < MIN_STATIONS_FOR_RANGES_ONLY or plan.gives_min_stations_per_target:
             raise InputError(
-                f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, but the plan requires only "
-                f"{least} to see it; give more stations, or a larger stations.min_stations_per_target"
+                f"ranges alone determine a reflector from {MIN_STATIONS_FOR_RANGES_ONLY} stations, but the plan "
+                f"requires only {least} to see it; give more stations, or a larger stations.min_stations_per_target"
             )
-        least = MIN_RANGE_STATIONS
+        least = MIN_STATIONS_FOR_RANGES_ONLY
     return SearchSpace(
         survey=survey_with_station_count(survey, n_stations).replace(
             faces=tuple(range(1, n_faces + 1)),
@@ -141,7 +139,7 @@ def make_search_space(
         is_aimed_nest=~layout.is_reaimed,
         obstacles=make_obstacles(scenario),
         min_station_spacing=plan.stations.spacing_mm * mm,
-        min_sights=least,
+        min_sights_per_target=least,
         fixed_station_indices=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),
         candidate_reflector_places=places,
         reflector_place_names=names,
@@ -150,16 +148,21 @@ def make_search_space(
 
 
 def min_sights_of_reflector(scenario: Scenario) -> int:
-    """Smallest number of stations that determine a reflector: 1, or `MIN_RANGE_STATIONS` if angles are not recorded."""
-    return 1 if scenario.instrument.observables == OBSERVABLES else MIN_RANGE_STATIONS
+    """Smallest number of stations that determine a reflector: 1 with angles, `MIN_STATIONS_FOR_RANGES_ONLY` without."""
+    return 1 if scenario.instrument.observables == OBSERVABLES else MIN_STATIONS_FOR_RANGES_ONLY
 
 
 def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
     """Plan file, and search space with the layout in the scenario, for an evaluation without a search.
 
-    If the plan file does not give the number of stations per reflector, the smallest sufficient number is required.
+    If the plan file does not give the number of stations that must see each target, the smallest sufficient number is
+    used.
     """
-    asked = file if file.gives_min_stations else file.with_min_stations(min_sights_of_reflector(scenario))
+    asked = (
+        file
+        if file.gives_min_stations_per_target
+        else file.with_min_stations_per_target(min_sights_of_reflector(scenario))
+    )
     work = scenario.work
     site = make_search_space(
         asked, scenario, n_stations=len(scenario.stations), n_faces=work.faces, n_repeats=work.repeats
@@ -168,8 +171,11 @@ def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, S
 
 
 def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Candidate numbers of faces, and of rounds; the numbers of the scenario if the plan fixes the procedure."""
-    if not plan_file.chooses_procedure:
+    """Candidate numbers of faces, and candidate numbers of rounds, of the measuring procedure.
+
+    They are the numbers of the scenario if the plan does not choose the procedure.
+    """
+    if not plan_file.chooses_measuring_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
     return sorted(set(plan_file.budget.faces or (1, 2))), sorted(set(plan_file.budget.repeats or usual))
@@ -194,7 +200,7 @@ def survey_with_station_count(survey: PlannedSurvey, n_stations: int) -> Planned
 
 
 def candidate_reflector_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate positions (P, 3) [m] of reflectors at P places, and their names; (None, ()) if reflectors do not move.
+    """Coordinates (P, 3) [m] and names of P candidate positions of reflectors; (None, ()) if reflectors do not move.
 
     Raises InputError for more than `MAX_REFLECTOR_PLACES`.
     """
@@ -219,7 +225,7 @@ def candidate_reflector_places(plan: PlanFile, scenario: Scenario) -> tuple[Floa
 
 
 def _require_few_reflector_places(n_places: int) -> None:
-    """Check that there are at most `MAX_REFLECTOR_PLACES` candidate positions of reflectors; raises InputError."""
+    """Check that a plan has at most `MAX_REFLECTOR_PLACES` candidate positions of reflectors; raises InputError."""
     if n_places > MAX_REFLECTOR_PLACES:
         raise InputError(
             f"reflectors: {n_places} candidate places, expected at most {MAX_REFLECTOR_PLACES}; "
@@ -228,7 +234,7 @@ def _require_few_reflector_places(n_places: int) -> None:
 
 
 def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
-    """Candidate positions (P, 3) [mm] of reflectors at P places on an obstacle or the walls, rounded to 1 mm."""
+    """Candidate positions (P, 3) [mm] of P reflectors on an obstacle or on the walls of the hall, rounded to 1 mm."""
     if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
@@ -243,9 +249,9 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_target_fixed_in_search(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,): True for a target of the scenario that the search does not move.
+    """Flags (T,): True for a target of the scenario that stays where it is in the search.
 
-    If the plan has no candidate positions of reflectors, the search moves no target.
+    If the plan has no candidate positions of reflectors, all targets stay.
     """
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.candidate_bodies):
@@ -254,14 +260,14 @@ def is_target_fixed_in_search(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def is_target_never_moved(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,): True for a target of the survey that neither moves in the search nor may be moved afterwards."""
+    """Flags (T,): True for a target of the survey that stays in the search and in the later tests of single changes."""
     free = plan.reflectors.movable_points
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_target_flags(plan, scenario, survey.target_names, demanded)
 
 
 def _fixed_target_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
-    """Flags (T,): True for each of the targets `names` that is in `fixed_names`, in the gauge, or fixed by the plan."""
+    """Flags (T,): True for each of T target `names` that is in `fixed_names`, in the gauge, or fixed by the plan."""
     fixed = {*plan.reflectors.fixed_reflectors, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 
@@ -269,8 +275,8 @@ def _fixed_target_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str]
 def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """Objective of a plan for layouts with the stations of `survey`.
 
-    An effect that acts on a single station is included for every station. Raises InputError for effects that act on
-    single targets or readings.
+    An effect that acts on a single station is included once for every station. Raises InputError for effects that act
+    on single targets or readings.
     """
     goal = plan.goal
     weights = {

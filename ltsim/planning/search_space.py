@@ -1,7 +1,7 @@
 """Search space of a plan: candidate positions, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
 `SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` describes the rules that a
-single layout breaks. Both use the same functions. A sight is an unobstructed line from a station to a target.
+single layout breaks. Both apply the same rules. A sight is an unobstructed line from a station to a target.
 """
 
 from __future__ import annotations
@@ -29,31 +29,32 @@ from ltsim.scene.floor import (
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
 
-MIN_VISIBLE_TARGETS = 3
+MIN_VISIBLE_TARGETS_PER_STATION = 3
 """Smallest number of targets that a station must see; fewer do not determine its pose."""
 MAX_COINCIDENCE_DISTANCE = 1e-3
-"""Distance [m] below which a station and a target are at the same point, which breaks a rule."""
-SPACING_TOLERANCE = 1e-9
-"""Largest amount [m] by which two stations may be closer than the spacing without breaking the rule: rounding."""
+"""Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
+STATION_SPACING_TOLERANCE = 1e-9
+"""Amount [m] by which the distance of two stations may fall below the permitted one because of rounding."""
 MAX_NEST_AIMING_STEPS = 60
-"""Largest number of steps of the iteration that aims a fixed nest."""
+"""Largest number of steps of the iteration that aims a fixed nest at all stations."""
 NEST_ANGLE_MARGIN = 0.004
-"""Angle [rad] by which a search reduces the acceptance angle, as the iteration that aims fixed nests is inexact."""
+"""Angle [rad] by which a search reduces the acceptance angle of a fixed nest, because the aiming iteration is inexact.
+"""
 MAX_NAMES_IN_RULE_TEXT = 8
-"""Largest number of names that a sentence on a rule lists."""
+"""Largest number of names that a sentence on a rule of the plan lists."""
 
 
 class BrokenRule(NamedTuple):
     """Rule of the plan that a layout breaks."""
 
     sentence: str
-    """Sentence without its full stop, with the numbers and the key of the plan file."""
+    """Sentence without full stop on the broken rule, with the numbers and the key of the plan file."""
     stations: tuple[str, ...] = ()
-    """Stations whose positions break the rule; empty for a rule about sights."""
+    """Names of the stations whose positions break the rule; empty for a rule about sights."""
 
 
 def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
-    """Sentences of the broken rules in one line; empty for none."""
+    """Sentences on the broken rules in one line, separated by semicolons; empty if no rule is broken."""
     return "; ".join(rule.sentence for rule in rules)
 
 
@@ -63,23 +64,23 @@ def are_stations_too_near(position: Floats, spacing: float) -> Bools:
     `position` (B, S, 3) [m] are the S stations of B layouts. Each pair is flagged once.
     """
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
-    return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
+    return np.asarray(np.triu(gap <= spacing - STATION_SPACING_TOLERANCE, 1))
 
 
-def target_has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
-    """Flags (B, T): True for a target that fewer than `min_sights` stations see.
+def target_has_too_few_sights(is_visible: Bools, min_sights_per_target: int) -> Bools:
+    """Flags (B, T): True for a target that fewer than `min_sights_per_target` stations see.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
     """
-    return np.asarray(is_visible.sum(axis=1) < min_sights)
+    return np.asarray(is_visible.sum(axis=1) < min_sights_per_target)
 
 
 def station_has_too_few_targets(is_visible: Bools) -> Bools:
-    """Flags (B, S): True for a station that sees fewer than `MIN_VISIBLE_TARGETS` targets.
+    """Flags (B, S): True for a station that sees fewer than `MIN_VISIBLE_TARGETS_PER_STATION` targets.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
     """
-    return np.asarray(is_visible.sum(axis=2) < MIN_VISIBLE_TARGETS)
+    return np.asarray(is_visible.sum(axis=2) < MIN_VISIBLE_TARGETS_PER_STATION)
 
 
 @dataclass(frozen=True)
@@ -87,14 +88,14 @@ class SearchSpace(ValueEquality):
     """Search space of a plan: allowed positions of stations and reflectors, and the sights that a layout must have."""
 
     survey: PlannedSurvey
-    """Initial layout: targets, gauge, noise, order of measurement."""
+    """Planned survey with the initial layout, targets, gauge (reflectors at known distances), noise and order of
+    measurement."""
     allowed_areas: tuple[StandingArea, ...]
     """Areas where tripods may stand."""
     sight_limits: SightLimits
     """Limits of range, elevation and incidence within which a station can measure a target."""
     is_aimed_nest: Bools
-    """Flags (T,): True for a target in a fixed nest that is aimed anew for every layout, so that it faces all
-    stations."""
+    """Flags (T,): True for a target in a fixed nest that is aimed at the stations of every layout anew."""
     obstacles: Obstacles | None = None
     """Obstacles that block sights and tripods; None without obstacles."""
     forbidden_areas: tuple[KeepOutArea, ...] = ()
@@ -102,11 +103,12 @@ class SearchSpace(ValueEquality):
     min_station_spacing: float = 1.0
     """Smallest horizontal distance between two stations [m]."""
     position_tolerance: float = 0.0
-    """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
-    min_sights: int = 1
+    """Largest horizontal distance [m] of an instrument from its planned position at which every sight must still be
+    free."""
+    min_sights_per_target: int = 1
     """Smallest number of stations that must see each target."""
     fixed_station_indices: tuple[int, ...] = ()
-    """Indices of the stations that do not move."""
+    """Indices of the stations that keep their positions."""
     candidate_reflector_places: Floats | None = None
     """Coordinates (P, 3) [m] of P candidate positions of reflectors; None if reflectors do not move."""
     reflector_place_names: tuple[str, ...] = ()
@@ -116,7 +118,7 @@ class SearchSpace(ValueEquality):
 
     @property
     def head_heights(self) -> tuple[float, float]:
-        """Lowest and highest height [m] of the centre of a tracker head that any allowed area permits."""
+        """Lowest and highest permitted height [m] of the centre of a tracker head, over all allowed areas."""
         lowest, highest = zip(*(area.head_height_range for area in self.allowed_areas), strict=True)
         return min(lowest), max(highest)
 
@@ -125,14 +127,14 @@ class SearchSpace(ValueEquality):
         return replace(self, **changes)
 
     def is_allowed(self, position: Floats) -> Bools:
-        """Flags (N,): True for each of N positions (N, 3) [m] of heads at which a tripod may stand."""
+        """Flags (N,): True for each of N positions (N, 3) [m] of tracker heads where a tripod may stand."""
         return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Flags (N, T): True for a target visible from everywhere within the tolerance of a position (N, 3) [m].
+        """Flags (N, T): True if a target is visible from everywhere near a position (N, 3) [m].
 
-        `points` (T, 3) [m] are the T targets, by default those of the survey. Fixed nests are aimed later, so that
-        their angles of incidence are not tested here.
+        Near are all positions within the position tolerance. `points` (T, 3) [m] are the targets, by default those of
+        the survey. Angles of incidence on fixed nests are not tested, because these nests are aimed later.
         """
         goal = self.survey.target_points if points is None else points
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
@@ -152,11 +154,12 @@ class SearchSpace(ValueEquality):
         return is_visible_place
 
     def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B,): True for a layout that meets all rules on spacing, sights and nests.
+        """Flags (B,): True for a layout that meets all rules on spacing, sights and fixed nests.
 
-        `position` (B, S, 3) [m] are the S stations, `is_visible` (B, S, T) flags their sights to T targets.
+        `position` (B, S, 3) [m] are the positions of S stations, `is_visible` (B, S, T) flags their sights to T
+        targets.
         """
-        is_feasible: Bools = np.asarray(~target_has_too_few_sights(is_visible, self.min_sights).any(axis=1))
+        is_feasible: Bools = np.asarray(~target_has_too_few_sights(is_visible, self.min_sights_per_target).any(axis=1))
         is_feasible &= ~station_has_too_few_targets(is_visible).any(axis=1)
         is_feasible &= ~are_stations_too_near(position, self.min_station_spacing).any(axis=(1, 2))
         if self.is_aimed_nest.any() and is_feasible.any():
@@ -164,11 +167,11 @@ class SearchSpace(ValueEquality):
         return is_feasible
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """All rules that a layout breaks: first those on positions, then those on sights; empty for none."""
+        """Rules of the plan that a layout breaks, first those on positions, then those on sights; empty if none."""
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules on floor, coincidence and spacing that the positions of stations break; empty for none."""
+        """Rules on floor, coincidence and spacing that the positions of stations break; empty if none is broken."""
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
@@ -187,13 +190,15 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules on sights that a layout breaks, from the flags `is_visible` of the survey."""
+        """Rules on sights that a layout breaks, according to `is_visible` of the survey; empty if none is broken."""
         visible, targets, rules = survey.is_visible[None], survey.target_names, []
-        deficient_names = [targets[t] for t in np.flatnonzero(target_has_too_few_sights(visible, self.min_sights)[0])]
+        deficient_names = [
+            targets[t] for t in np.flatnonzero(target_has_too_few_sights(visible, self.min_sights_per_target)[0])
+        ]
         if deficient_names:
             verb, stations = (
                 "is" if len(deficient_names) == 1 else "are",
-                f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
+                f"{self.min_sights_per_target} station{'s' if self.min_sights_per_target > 1 else ''}",
             )
             named = names_text(deficient_names, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
@@ -202,7 +207,10 @@ class SearchSpace(ValueEquality):
         for s in np.flatnonzero(station_has_too_few_targets(visible)[0]):
             count = int(survey.is_visible[s].sum())
             rules.append(
-                BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_VISIBLE_TARGETS}")
+                BrokenRule(
+                    f"{survey.station_names[s]} sees {count} targets, expected at least "
+                    f"{MIN_VISIBLE_TARGETS_PER_STATION}"
+                )
             )
         if self.is_aimed_nest.any():
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
@@ -212,27 +220,27 @@ class SearchSpace(ValueEquality):
                 if not ok
             ]
             if turned:
-                words = (
-                    f"no fixed nest of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
-                )
+                words = f"fixed nests of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} cannot be aimed at all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Score (B,) of B layouts: number of stations that are connected to the first one, plus a fraction below 1.
+        """Score (B,) of B layouts: number of stations connected to the first one, plus a fraction below 1.
 
-        Two stations are connected if they see at least two common targets, or through other stations. The fraction
-        grows with the mean number of common targets, of which at most three count for each pair of stations.
+        Two stations are connected if they see at least two common targets, directly or through other stations. The
+        fraction grows with the mean number of common targets; at most three count for each pair of stations.
         `is_visible` (B, S, T) flags the sights from S stations to T targets.
         """
-        shared = np.minimum(np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
+        shared = np.minimum(
+            np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS_PER_STATION
+        )
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
-        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
+        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS_PER_STATION + 1))
 
     def _is_aimable_nest(self, position: Floats) -> Bools:
-        """Flags (B, k): True for each of k fixed nests that can be aimed so that it accepts the beams of all stations.
+        """Flags (B, k): True for each of k fixed nests that can be aimed so that it returns the beams of all stations.
 
-        `position` (B, S, 3) [m] are the S stations of B layouts.
+        `position` (B, S, 3) [m] are the positions of the S stations in B layouts.
         """
         back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
@@ -260,8 +268,11 @@ class SearchSpace(ValueEquality):
         )
 
     def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
-        """Names of the targets with too few sights from stations at these positions of a placement; empty for none."""
-        deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
+        """Names of the targets that too few stations see from the given candidate positions; empty if none.
+
+        `placement` holds the candidate positions, `place_indices` the indices of those where stations are.
+        """
+        deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights_per_target))
         return (
             names_text([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
             if len(deficient_names)
@@ -269,26 +280,26 @@ class SearchSpace(ValueEquality):
         )
 
     def grid_station_positions(self, step: float, n_heights: int) -> Floats:
-        """Positions (N, 3) [m] of N grid points where a tripod may stand; `step` [m] is the horizontal step.
+        """Coordinates (N, 3) [m] of N grid points where a tripod may stand.
 
-        Each point of the horizontal grid has `n_heights` heights.
+        `step` [m] is the horizontal step; each point of the horizontal grid has `n_heights` heights.
         """
         grid = np.concatenate([grid_over_area(area, step, n_heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
     def candidate_placement(self, step: float, n_heights: int) -> StationPlacement:
-        """Candidate positions of stations on a grid from which `MIN_VISIBLE_TARGETS` are visible, and fixed stations.
+        """Candidate positions on a grid from which at least `MIN_VISIBLE_TARGETS_PER_STATION` targets are visible.
 
-        `step` [m] is the horizontal step, `n_heights` the number of heights. Raises InputError if there is no such
-        position.
+        They are returned together with the fixed stations. `step` [m] is the horizontal step, `n_heights` the number of
+        heights. Raises InputError if no position sees enough targets.
         """
         places, fixed = (
             self.grid_station_positions(step, n_heights),
             self.survey.station_positions[list(self.fixed_station_indices)],
         )
         visible = self.is_visible(places)
-        is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
+        is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION
         if not is_sufficient.any():
-            raise InputError("no place on the floor sees three points; enlarge the floor, or move obstacles")
+            raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
         return StationPlacement(places[is_sufficient], visible[is_sufficient], self.min_station_spacing, fixed, counted)

@@ -1,4 +1,4 @@
-"""Poses of the stations of a recording in the axes of a plan (the site), from targets that are points of the plan."""
+"""Transformation of a measured network to the axes of a plan (the site), by targets that are points of the plan."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
 
-MAX_MEDIAN_MISFIT = 0.1
-"""Largest median distance [m] between adjusted targets and the points of the plan with the same names, at which they
-count as the same points. Reflectors are placed within centimetres of their planned points; in other axes the distance
-is metres."""
+MAX_MEDIAN_POINT_MISFIT = 0.1
+"""Largest median distance [m] between adjusted targets and plan points of the same names at which they count as the
+same points. Reflectors are placed within centimetres of their planned points; in different axes the distance is metres.
+"""
 MAX_NOMINAL_POSITION_ERROR = 0.5
-"""Largest distance [m] between the nominal position of a station in the set-up and its position on the site, at which
-both have the same axes. Nominal positions are approximate by decimetres; in other axes the distance is metres.
+"""Largest distance [m] between the nominal position of a station in setup.toml and its adjusted position on the site at
+which the axes count as equal. Nominal positions are accurate to decimetres; in different axes the distance is metres.
 """
 
 
-def with_positions_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
+def with_station_poses_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The targets that have names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
-    nominal positions of the stations do, and the recording is returned unchanged. `search_space` is that of the plan,
-    `site_name` names the plan in errors.
+    The axes follow from the targets that have names of points of the plan. With fewer than `MIN_RIGID_POINTS` such
+    targets the nominal positions of the stations must be in these axes, and the recording is returned unchanged.
+    `search_space` is that of the plan, `site_name` the name of the plan in errors.
 
     Raises
     ------
@@ -65,9 +65,10 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
 def _site_transformation_from_points(
     recording: Recording, state: NetworkState, search_space: SearchSpace, undetermined: tuple[str, ...], site_name: str
 ) -> FloorPlanTransform | None:
-    """Transformation from the network to the site by the points with equal names; None if there are too few.
+    """Transformation from the network to the site by points with equal names; None if there are too few such points.
 
-    The rotation is about the vertical of the network. Targets named in `undetermined` are not used.
+    The rotation is about the vertical of the network. `state` holds the adjusted coordinates. Targets named in
+    `undetermined` are not used.
     """
     point_by_name = dict(zip(search_space.survey.target_names, search_space.survey.target_points, strict=True))
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
@@ -83,7 +84,7 @@ def _site_transformation_from_points(
     shift = np.median(there - target_points @ turn.T, axis=0)
     plan = FloorPlanTransform(turn, shift, has_plan=True)
     misfit = np.linalg.norm(plan.positions_on_plan(target_points) - there, axis=1)
-    if np.median(misfit) > MAX_MEDIAN_MISFIT:
+    if np.median(misfit) > MAX_MEDIAN_POINT_MISFIT:
         worst = int(np.argmax(misfit))
         raise InputError(
             f"{site_name}: {len(names)} targets of the recording have names of its points, but do not fit them: "
@@ -97,7 +98,7 @@ def _require_same_axes(
 ) -> None:
     """Check that the nominal position of a station, if there is one, has the axes of the site; raises InputError.
 
-    `position` (3,) [m] is its adjusted position on the site, to which `nominal_mm` must be near.
+    `position` (3,) [m] is the adjusted position of the station on the site, to which `nominal_mm` must be near.
     """
     if nominal_mm is None:
         return

@@ -1,4 +1,4 @@
-"""Choice of positions for stations from candidate positions on the floor, by the targets that are visible from each."""
+"""Choice of the positions of stations among candidate positions on the floor, by the targets visible from each."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_DRAWN_PLACES_PER_STATION = 24
-"""Number of candidate positions that are drawn for a station of a random layout, of which the best is used."""
-MAX_BRANCH_NODES = 3000
-"""Largest number of nodes in the branch-and-bound tree for the positions of stations; a few were sufficient in all
-halls that were tried.
-"""
+"""Number of candidate positions that are drawn for each station of a random layout; the best of them is used."""
+MAX_BRANCH_AND_BOUND_NODES = 3000
+"""Largest number of nodes of the branch-and-bound tree in the choice of station positions. A few nodes were sufficient
+in all halls that were tested."""
 MAX_RANDOM_TIE_BREAKER_COST = 1e-4
-"""Largest random cost of a candidate position in the choice of positions, where a missing sight costs 1; it makes each
-random draw of a layout different."""
+"""Largest random cost of a candidate position in the choice of positions, where a missing sight costs 1. The random
+costs make each random draw of a layout different."""
 
 
 @dataclass(frozen=True)
 class StationPlacement:
-    """Candidate positions for stations, in addition to fixed stations, and the selection of positions from them."""
+    """Candidate positions of stations, together with fixed stations, and choice of positions for a layout."""
 
     candidate_positions: Floats
-    """Coordinates (N, 3) [m] of N candidate positions, which are referred to by index."""
+    """Coordinates (N, 3) [m] of N candidate positions; their indices denote them elsewhere."""
     is_visible: Bools
     """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
     min_spacing: float
@@ -39,10 +38,10 @@ class StationPlacement:
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
     ) -> list[int]:
-        """Indices of positions for `n_stations` stations with which `wanted_sights` stations see each target.
+        """Indices of candidate positions for `n_stations` stations, so that `wanted_sights` stations see each target.
 
-        If that is not possible, the fewest sights are missing. With `random_generator` each station is at the best of a
-        few random positions, so that draws differ.
+        If that is not possible, as few sights as possible are missing. With `random_generator` each station is at the
+        best of a few random positions, so that draws differ.
         """
         place_indices: list[int] = []
         while (
@@ -55,7 +54,10 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, with stations at these places."""
+        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, for stations at these positions.
+
+        `place_indices` are indices of candidate positions; the sights of fixed stations are counted.
+        """
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )
@@ -63,10 +65,10 @@ class StationPlacement:
     def _best_place(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
-        """Index of the position that sees most targets with too few sights; -1 if no position keeps the spacing.
+        """Index of the candidate position that sees most targets with too few sights; -1 if none keeps the spacing.
 
-        `used_places` are the positions of earlier stations. Sights beyond `wanted_sights` have a small weight. With
-        `random_generator` only a few random positions are compared.
+        `used_places` are the indices of the positions of earlier stations. Sights beyond `wanted_sights` have a small
+        weight. With `random_generator` only a few random positions are compared.
         """
         n_candidates = len(self.candidate_positions)
         candidate_order = (
@@ -93,9 +95,9 @@ class StationPlacement:
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
     ) -> list[int]:
-        """Indices of the positions that together miss the fewest sights; empty if no combination keeps the spacing.
+        """Indices of the positions with the fewest missing sights; empty if no combination keeps the spacing.
 
-        It is the solution of a mixed-integer linear program; random costs make it different in each draw.
+        The positions are the solution of a mixed-integer linear program; random costs make it different in each draw.
         """
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
@@ -127,6 +129,6 @@ class StationPlacement:
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
             bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted_sights))]),
-            options={"node_limit": MAX_BRANCH_NODES},
+            options={"node_limit": MAX_BRANCH_AND_BOUND_NODES},
         )
         return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

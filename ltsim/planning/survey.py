@@ -1,4 +1,4 @@
-"""Planned survey: positions of stations and targets, pointings, and duration."""
+"""Planned survey: positions of stations and targets, order of the pointings, and duration."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class PlannedSurvey:
-    """Planned survey of T targets from S upright stations."""
+    """Planned survey of T targets from S upright stations: layout, measuring procedure and instrument."""
 
     setup: Setup
-    """Set-up of the survey: noise, priors, gauge, nests, as in a recording."""
+    """Set-up of the survey as in a recording: noise, priors, gauge (reflectors at known distances), nests."""
     station_names: tuple[str, ...]
+    """Names of the S stations, in the order of measurement."""
     target_names: tuple[str, ...]
+    """Names of the T targets."""
     station_positions: Floats
     """Position (S, 3) [m] of the centre of the instrument at each of S stations."""
     station_yaws: Floats
@@ -37,29 +39,27 @@ class PlannedSurvey:
     is_visible: Bools
     """Flags (S, T): True where one of S stations measures one of T targets."""
     faces: tuple[int, ...] = (1, 2)
-    """Faces that are measured: 1, 2 or both."""
+    """Faces in which each target is measured: (1,), (2,) or (1, 2)."""
     repeats: int = 1
-    """Number of pointings to each target on each face."""
+    """Number of rounds: pointings to each target in each face."""
     seconds_per_pointing: float = 10.0
     """Time [s] from one pointing to the next."""
     seconds_per_move: float = 1200.0
     """Time [s] to move the instrument and set it up, per station."""
     target_ranks: Ints | None = None
-    """Rank (S, T) of each of T targets in the order of measurement at each of S stations; default the order of
+    """Rank (S, T) of each of T targets in the order of measurement at each of S stations; None for the order of
     `target_names`."""
     measures_face_by_face: bool = True
-    """True if a station measures all targets in one face and then in the other; False if both faces of each target
-    follow each other.
-    """
+    """True if a station measures all targets in one face and then all in the other; False if it measures both faces of
+    a target in succession."""
     observables: tuple[str, ...] = OBSERVABLES
-    """Observables of each pointing: range and both angles, or range alone."""
+    """Names of the observables of each pointing: range and both angles, or the range alone."""
     target_weights: Mapping[str, float] = field(default_factory=dict)
-    """Weight of each target by name, in the weighted root mean square of point errors; default 1."""
+    """Weight of each squared point error, by name of the target, in the weighted root mean square; default 1."""
 
     air: AirUncertainty | None = None
     """Uncertainty of the air that a search includes; None if all lines of sight are so short that it is neglected.
-    Final results use the uncertainty of the air in the set-up.
-    """
+    Final results use the uncertainty of the air in `setup`."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -73,7 +73,10 @@ class PlannedSurvey:
             raise InputError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise_sigmas(self, sightings: Sightings) -> Floats:
-        """Standard deviations (n, 3) [m, rad, rad] of n pointings by the declared noise, without effects of the air."""
+        """Standard deviations (n, 3) of range [m], azimuth and elevation [rad] of n pointings by the declared noise.
+
+        Effects of the air are not included.
+        """
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
@@ -89,7 +92,7 @@ class PlannedSurvey:
 
     @property
     def extent_text(self) -> str:
-        """Text of extent and duration of the measurement, in one line."""
+        """Text with the numbers of stations, reflectors, faces, rounds and pointings, and with the duration."""
         faces = "both faces" if len(self.faces) == 2 else f"face {self.faces[0]}"
         rounds = "once" if self.repeats == 1 else f"{self.repeats} times"
         return (
@@ -120,17 +123,20 @@ class PlannedSurvey:
         return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
     def nominal_state(self, construction: GeometricErrorModel) -> NetworkState:
-        """Nominal state of the network: a perfect instrument at the planned positions, without errors of reflectors."""
+        """Poses, target coordinates and parameters of the network for a perfect instrument at the planned positions.
+
+        Parameters of the instrument (error model `construction`) and of reflectors are zero.
+        """
         empty = self._empty_recording()
         zero_errors = np.zeros((len(empty.instruments), construction.n_parameters))
         errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
         return NetworkState(self.station_positions, self.station_rotations, self.target_points, zero_errors, errors)
 
     def noise_free_recording(self, construction: GeometricErrorModel) -> Recording:
-        """Recording of a perfect instrument without noise.
+        """Recording of all planned pointings by a perfect instrument without noise.
 
-        Rows are in the order of measurement, station by station; a further round is another complete measurement at the
-        same station.
+        Rows are in the order of measurement, station by station. A round is a complete measurement of all targets from
+        a station.
         """
         empty = self._empty_recording()
         readings = MeasurementModel(empty, construction).predict(self.nominal_state(construction))
@@ -138,9 +144,9 @@ class PlannedSurvey:
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Place (n,), from 0, of each of n pointings in the order of the first round of its station.
+        """Rank (n,), from 0, of each of n pointings in the first round of its station.
 
-        The pointings are given by the indices `station` (n,) and `target` (n,) and the faces `face` (n,).
+        Each pointing is given by the indices `station` (n,) and `target` (n,) and by its face `face` (n,).
         """
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
         face_ranks = np.searchsorted(np.sort(self.faces), face)
@@ -150,7 +156,7 @@ class PlannedSurvey:
 
     @property
     def _placed_setup(self) -> Setup:
-        """Set-up that declares the planned positions of the stations, towards which nests are aimed."""
+        """Set-up that declares the planned positions and yaws of the stations, towards which nests are aimed."""
         places = zip(
             self.station_names,
             (self.station_positions / MILLIMETRE).tolist(),
@@ -195,7 +201,7 @@ class PlannedSurvey:
         )
 
     def with_targets_only(self, is_selected: Bools) -> PlannedSurvey:
-        """Survey with only the targets that `is_selected` (T,) flags, of T targets."""
+        """Survey that measures only those of the T targets that `is_selected` (T,) flags."""
         if is_selected.all():
             return self
         return self.replace(

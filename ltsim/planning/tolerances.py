@@ -16,37 +16,38 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.search_space import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
 DEFAULT_TO_WIDEST_TOLERANCE_RATIO = 10.0
-"""Tolerance of points without a declared tolerance in the objective of the search, divided by the widest declared
-tolerance of the plan."""
+"""Ratio that defines the weight of a point without a tolerance in the objective: the point counts as if its tolerance
+were this many times the widest tolerance of the plan."""
 MIN_POINT_WEIGHT = 1e-6
-"""Smallest weight of a point in the objective, so that every point counts."""
+"""Smallest weight of a point in the objective, above zero, so that every point counts."""
 MAX_POINTS_IN_VERDICT = 5
 """Largest number of points that a sentence of the verdict lists."""
 LOST_SIGHT_PREFIX = "the sight"
-"""First words of the description of a lost sight; the description of a lost station is its name."""
+"""First words of the description of a lost sight ("the sight from S1 to P3"); a lost station is described by its name.
+"""
 UNDETERMINED_NETWORK_TEXT = "the network no longer determines its points"
-"""Text for a network whose poses or points are not all determined, so that point errors do not exist."""
+"""Text in place of point errors for a network whose poses or points are not all determined."""
 
 
 def is_tolerance_met(ratio: float) -> bool:
-    """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
+    """True if an error is at most its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
 
 def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of `value` with at least `digits` digits, and with enough to show on which side of `limit` it is."""
+    """Text of `value` with at least `digits` digits, and with enough to show on which side of `limit` the value is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 
 def tolerance_ratio_text(ratio: float) -> str:
-    """Text, in percent, of the ratio of an error to its tolerance: `100.4 %` for an error that is 0.4 % too large.
+    """Text in percent of the ratio of an error to its tolerance (`100.4 %` for an error that is 0.4 % too large).
 
     The text has enough digits to show on which side of 100 % the ratio is.
     """
@@ -62,14 +63,15 @@ class PointTolerances:
     confidence_level: float = 0.95
     """Confidence level: fraction of cases in which a point must be within its tolerance."""
     loss_to_withstand: str = "no"
-    """Loss after which all tolerances must still be met: of any `sight`, of any `station`, or `no` loss."""
+    """Loss after which all tolerances must still be met: "sight" for any single sight, "station" for any single
+    station, or "no"."""
 
     @classmethod
     def from_plan_file(cls, file: PlanFile) -> PointTolerances:
         """Tolerances of the points in a plan file.
 
-        The tolerance of a point is its `tolerance_mm` if given, otherwise the smallest of the tolerances of its group
-        and of all points.
+        The tolerance of a point is its `tolerance_mm` if given, otherwise the smaller one of the tolerance of its group
+        and that of all points.
         """
         limits = {}
         for point in file.listed_points:
@@ -84,10 +86,10 @@ class PointTolerances:
 
 
 def point_weights(file: PlanFile) -> dict[str, float]:
-    """Weight of the squared error of each point in the objective, by name: its `weight` times a factor.
+    """Weight of the squared error of each point in the objective, by name.
 
-    The factor is the squared ratio of the smallest tolerance to that of the point; without tolerances it is 1, and only
-    points whose weight is not 1 are returned.
+    It is the `weight` of the point times the squared ratio of the smallest tolerance to that of the point. Without
+    tolerances it is the `weight`, and only points whose weight is not 1 are returned.
     """
     demands = PointTolerances.from_plan_file(file)
     if not demands:
@@ -106,9 +108,9 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
     """Radius (T,) [m] that the error of each of T points does not exceed with probability `confidence_level`.
 
     `covariance` (T, 3, 3) [m^2] are the covariances of the points. The squared length of a normal error is a weighted
-    sum of chi-squares; its quantile is that of the scaled chi-square with the same mean and variance (Satterthwaite,
-    Biometrics Bulletin 2 (1946) 110-114), which is exact for errors along one axis and for isotropic errors in a plane
-    or in space.
+    sum of chi-squares. Its quantile is approximated by that of a scaled chi-square with equal mean and variance
+    (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114). The approximation is exact for errors along one axis and for
+    isotropic errors in a plane or in space.
     """
     variance_sums = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
@@ -118,34 +120,38 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
 
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """Check of a layout against its tolerances: complete, or after the loss of a station or a sight."""
+    """Check of the point errors of a layout against their tolerances.
 
-    loss_text: str
+    The layout is complete, or lacks a station or a sight.
+    """
+
+    lost_station_or_sight: str
     """Description of the lost station or sight; empty for the complete layout."""
     tolerance_by_point_m: Mapping[str, float]
     """Tolerance of each point [m], by name."""
     error_by_point_m: Mapping[str, float]
-    """Error [m] of each determined point with a tolerance, by name, that is not exceeded at the confidence level."""
+    """Point error [m] that is not exceeded at the confidence level, for each determined point with a tolerance, by
+    name."""
     max_tolerance_ratio: float
-    """Largest ratio of error to tolerance; infinite if a point is undetermined."""
+    """Largest ratio of point error to tolerance; infinite if a point is undetermined."""
     worst_point_name: str
-    """Name of the point with the largest ratio of error to tolerance."""
+    """Name of the point with the largest ratio of point error to tolerance."""
     unseen_points: tuple[str, ...] = ()
-    """Points with a tolerance that no station sees."""
+    """Names of points with a tolerance that no station sees."""
 
     @property
     def meets_all_tolerances(self) -> bool:
-        """True if all tolerances are met."""
+        """True if the error of every point is at most its tolerance."""
         return is_tolerance_met(self.max_tolerance_ratio)
 
     @property
     def is_sight_loss(self) -> bool:
         """True if the layout lacks a sight; False if it lacks a station or is complete."""
-        return self.loss_text.startswith(LOST_SIGHT_PREFIX)
+        return self.lost_station_or_sight.startswith(LOST_SIGHT_PREFIX)
 
     @property
     def exceeding_points(self) -> list[str]:
-        """Names of the determined points whose errors exceed their tolerances."""
+        """Names of the determined points whose errors are larger than their tolerances."""
         return [name for name in self.error_by_point_m if not is_tolerance_met(self.tolerance_ratio(name))]
 
     def tolerance_ratio(self, name: str) -> float:
@@ -154,7 +160,7 @@ class ToleranceCheck:
 
     @property
     def worst_point_values_text(self) -> str:
-        """Text of the worst point with its error and its tolerance; only its name if it is not visible."""
+        """Text of the worst point with its error and its tolerance; only its name if no station sees it."""
         return (
             self.point_error_text(self.worst_point_name)
             if self.worst_point_name in self.error_by_point_m
@@ -163,7 +169,7 @@ class ToleranceCheck:
 
     @property
     def worst_point_margin_text(self) -> str:
-        """Text of the worst point with the margin to its tolerance, or the excess over it, in percent."""
+        """Text of the worst point with its error, and by what percentage the error is below or above the tolerance."""
         excess = 100 * (self.max_tolerance_ratio - 1)
         margin = (
             f"margin {-excess:.0f} %"
@@ -179,7 +185,7 @@ class ToleranceCheck:
 
     @property
     def violations_clause(self) -> str:
-        """Clause on the points that are not visible or exceed their tolerances, or that all tolerances are met."""
+        """Clause on points that no station sees or whose errors are too large, or that all tolerances are met."""
         if self.meets_all_tolerances:
             return f"all tolerances are met, worst point {self.worst_point_values_text}"
         verb, named = (
@@ -206,12 +212,16 @@ class ToleranceCheck:
 
 
 def check_tolerances(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_text: str = ""
+    survey: PlannedSurvey,
+    tolerances: PointTolerances,
+    construction: GeometricErrorModel,
+    lost_station_or_sight: str = "",
 ) -> ToleranceCheck:
-    """Check of the layout of `survey` against `tolerances`, by a network adjustment with `construction`.
+    """Check of the point errors in the layout of `survey` against `tolerances`, from the expected network adjustment.
 
-    Points that no station sees are removed from the network and reported. `loss_text` describes the station or sight
-    that the survey lacks.
+    `construction` is the geometric error model whose parameters the adjustment estimates. Points that no station sees
+    are removed from the network and reported. `lost_station_or_sight` describes the station or sight that is missing in
+    the survey.
     """
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
     unseen = tuple(
@@ -220,9 +230,9 @@ def check_tolerances(
     try:
         if not visible.any():
             raise NetworkError("no station sees a target")
-        information = LayoutInformation.from_survey(survey.with_targets_only(visible), construction)
+        information = ExpectedPrecision.from_survey(survey.with_targets_only(visible), construction)
     except NetworkError:
-        return ToleranceCheck(loss_text, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
+        return ToleranceCheck(lost_station_or_sight, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
     names = information.survey.target_names
     radius_by_name = dict(
         zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
@@ -231,7 +241,7 @@ def check_tolerances(
     ratios = {name: value / tolerances.tolerance_by_point_m[name] for name, value in radii.items()}
     worst_point = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
-        loss_text,
+        lost_station_or_sight,
         tolerances.tolerance_by_point_m,
         radii,
         np.inf if unseen or not ratios else ratios[worst_point],
@@ -243,7 +253,7 @@ def check_tolerances(
 def checks_after_losses_of_kind(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
-    """Checks of the layout of `survey` after each single loss of one kind.
+    """Checks of the tolerances for the layout of `survey` after each single loss of one kind.
 
     `loss_kind` is ``station``, or ``sight`` for the sights of points with a tolerance.
     """
@@ -263,7 +273,7 @@ def checks_after_losses_of_kind(
 def checks_after_every_loss(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[ToleranceCheck, ...]:
-    """Checks of the layout of `survey` without each station, then without each sight of a point with a tolerance.
+    """Checks of the tolerances without each station, then without each sight of a point with a tolerance.
 
     The result is empty if there are no tolerances.
     """
@@ -276,7 +286,10 @@ def checks_after_every_loss(
 def checks_after_required_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> list[ToleranceCheck]:
-    """Checks of the layout of `survey` without each station, and without each sight if that loss must be withstood."""
+    """Checks of the tolerances without each station, and, if the plan requires it, without each sight.
+
+    The plan requires it if `tolerances.loss_to_withstand` is "sight".
+    """
     kinds = ("station", "sight") if tolerances.loss_to_withstand == "sight" else ("station",)
     return [loss for kind in kinds for loss in checks_after_losses_of_kind(survey, tolerances, construction, kind)]
 
@@ -286,8 +299,8 @@ def feasibility_and_tolerance_ratio(
 ) -> tuple[bool, float]:
     """Flag that is True if a survey meets its tolerances, and largest ratio of point error to tolerance.
 
-    If tolerances must still be met after a loss, both refer to the worst loss; but if the complete survey does not meet
-    them, both refer to the complete survey.
+    If tolerances must still be met after a loss, flag and ratio refer to the worst loss. If the complete survey does
+    not meet them, they refer to the complete survey.
     """
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all_tolerances or tolerances.loss_to_withstand == "no":
@@ -301,10 +314,10 @@ def feasibility_and_tolerance_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan, for search, interactive planner and page."""
+    """Verdict whether a layout meets the rules and tolerances of its plan, for search, interactive planner and page."""
 
     is_goal_reached: bool
-    """True if no rule is broken and all tolerances are met, after any single loss if required."""
+    """True if no rule is broken and all tolerances are met, also after any single loss if the plan requires it."""
     sentences: str
     """Sentences of the verdict, without the last full stop."""
 
@@ -315,7 +328,7 @@ def plan_verdict(
     loss_checks: Sequence[ToleranceCheck],
     broken_rules: Sequence[BrokenRule] = (),
 ) -> PlanVerdict:
-    """Verdict from the broken rules, the check of the complete layout, and the checks after losses."""
+    """Verdict on a layout from its broken rules, the check of the complete layout, and the checks after losses."""
     asked = [
         loss for loss in loss_checks if tolerances.loss_to_withstand == ("sight" if loss.is_sight_loss else "station")
     ]
@@ -341,7 +354,7 @@ def plan_verdict(
         lost = (
             "after the loss of any one station all are met"
             if worst_loss.meets_all_tolerances
-            else f"without {worst_loss.loss_text} they are not met"
+            else f"without {worst_loss.lost_station_or_sight} they are not met"
         )
         words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_margin_text}"
     rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
@@ -350,15 +363,21 @@ def plan_verdict(
 
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
-    """Sentences on the checks after losses: one for each station, and one on all sights together."""
-    texts = [f"Without {loss.loss_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
+    """Sentences on the checks after losses: one for each lost station, and one for all lost sights together."""
+    texts = [
+        f"Without {loss.lost_station_or_sight}: {loss.violations_clause}."
+        for loss in loss_checks
+        if not loss.is_sight_loss
+    ]
     sights = [loss for loss in loss_checks if loss.is_sight_loss]
     broken = sorted(
         (loss for loss in sights if not loss.meets_all_tolerances), key=lambda loss: -loss.max_tolerance_ratio
     )
     if broken:
         number = f"{len(broken)} of {len(sights)} sights"
-        texts.append(f"{number} are critical; without {broken[0].loss_text}: {broken[0].violations_clause}.")
+        texts.append(
+            f"{number} are critical; without {broken[0].lost_station_or_sight}: {broken[0].violations_clause}."
+        )
     elif sights:
         texts.append(
             f"Any single one of the {len(sights)} sights of these points may be blocked; all tolerances are still met."

@@ -1,4 +1,4 @@
-"""Public functions of planning: the search, alternatives to a station, the next measurement."""
+"""Public functions of planning: search for a layout, alternatives to a station, next measurement."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.search_space import SearchSpace, broken_rules_text
-from ltsim.planning.site_axes import with_positions_on_site
+from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
@@ -29,10 +29,10 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
 MIN_ALTERNATIVE_DISTANCE = 2.0
-"""Smallest horizontal distance [m] of an alternative position of a station from its planned position and from other
-alternatives."""
-MAX_ALTERNATIVES = 4
-"""Largest number of alternative positions of a station that are proposed."""
+"""Smallest horizontal distance [m] of a proposed position of a station from its planned position and from other
+proposals."""
+MAX_STATION_ALTERNATIVES = 4
+"""Largest number of alternative positions that are proposed for a station."""
 
 
 def plan(
@@ -45,7 +45,7 @@ def plan(
     callbacks: SearchCallbacks | None = None,
     move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
-    """Layout of stations and reflectors, with reasons and the curve of cost against quality.
+    """Layout of stations and reflectors, with the reasons for it and the trade-off curve between cost and quality.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def next_measurement(
     measured = load_recording(recording)
     space = None if site is None else plan_without_search(*load_plan_and_scenario(site))[1]
     made = ranked(
-        measured if space is None else with_positions_on_site(measured, space, str(site)),
+        measured if space is None else with_station_poses_on_site(measured, space, str(site)),
         explanations=between,
         with_effects=with_effects,
         minutes_per_move=minutes_per_move,
@@ -147,9 +147,9 @@ def next_measurement(
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
-    """Function of positions on a site that returns the targets visible from each; none where no tripod may stand.
+    """Function of positions and targets on a site that flags the targets in sight; none where no tripod may stand.
 
-    A height outside the permitted range by less than the position tolerance is accepted.
+    A height outside the permitted range is tolerated if it differs by less than the position tolerance.
     """
     low, high = np.array([area.head_height_range for area in search_space.allowed_areas]).T
 
@@ -166,21 +166,20 @@ def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
 class StationAlternative:
     """Alternative layout for a station that cannot stand at its planned position.
 
-    The station is at another position, with all other stations unchanged, or is left out.
+    The station is at another position or is left out; all other stations are unchanged.
     """
 
     position_text: str
     """Description of the new position of the station, or `without NAME`."""
     survey: PlannedSurvey
-    """Survey with the alternative layout."""
+    """Planned survey with the alternative layout."""
     verdict: str
-    """Verdict on the alternative layout, as a sentence."""
+    """Sentence with the verdict on the alternative layout."""
     max_tolerance_ratio_or_error: float
-    """Largest ratio of point error to tolerance, including losses that must be withstood; without tolerances the
-    largest point error [m] that is not exceeded at 95 % confidence.
-    """
+    """Largest ratio of point error to tolerance, including losses that must be withstood. Without tolerances it is the
+    largest point error [m] that is not exceeded at 95 % confidence."""
     meets_goal: bool
-    """True if no rule is broken and all tolerances are met, if there are any."""
+    """True if the layout breaks no rule and meets all tolerances, if there are any."""
     move_option: str = ""
     """Value of the option `--move` that evaluates this alternative; empty for the layout without the station."""
 
@@ -205,10 +204,12 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     problem, survey = PlanningProblem(file, scenario), site.survey
     station_index = _station_index(survey, station)
     other_stations = [s for s in range(len(survey.station_positions)) if s != station_index]
-    work = problem.make_searcher(site.replace(survey=survey, fixed_station_indices=tuple(other_stations), min_sights=0))
-    table = work.grid_setup_blocks(station_index)
+    work = problem.make_searcher(
+        site.replace(survey=survey, fixed_station_indices=tuple(other_stations), min_sights_per_target=0)
+    )
+    table = work.normal_blocks_of_grid(station_index)
     objectives = work.replacement_objectives(
-        work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
+        work.normal_blocks_of_layout(survey.station_positions, survey.station_yaws), station_index, table
     )
     objectives[
         _horizontal_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
@@ -216,9 +217,9 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point_m or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
-    lacking = np.maximum(site.min_sights - survey.is_visible[other_stations].sum(axis=0) - table.is_visible, 0)[
-        :, asked
-    ].sum(axis=1)
+    lacking = np.maximum(
+        site.min_sights_per_target - survey.is_visible[other_stations].sum(axis=0) - table.is_visible, 0
+    )[:, asked].sum(axis=1)
     alternatives: list[StationAlternative] = []
     for best in np.lexsort((objectives, lacking)).tolist():
         near = [
@@ -226,7 +227,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
             < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
-        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(objectives[best]) or any(near):
+        if len(alternatives) == MAX_STATION_ALTERNATIVES or not np.isfinite(objectives[best]) or any(near):
             continue
         position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
         position[station_index], yaw[station_index] = table.setup_positions[best], table.setup_yaws[best]
@@ -246,10 +247,10 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
 def _plan_with_moved_stations(
     plan: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
 ) -> PlannedNetwork:
-    """Planned network with stations at new positions, by name: x, y, z [mm] and yaw [deg].
+    """Planned network with stations at new positions; `new_positions` holds x, y, z [mm] and yaw [deg] by station name.
 
-    If yaw, or z and yaw, are not given, their planned values are kept. Raises InputError for a position where no tripod
-    may stand.
+    If yaw, or z and yaw, are missing, the planned values are used. Raises InputError for a position where no tripod may
+    stand.
     """
     file, site = plan_without_search(plan, scenario)
     survey = site.survey
@@ -266,9 +267,9 @@ def _plan_with_moved_stations(
 
 
 def _position_numbers(name: str, position: object) -> Floats:
-    """Numbers of a new position of the station `name`: x and y [mm], then z [mm] and yaw [deg] if given.
+    """Numbers of a new position of the station `name`: x and y [mm], then z [mm] and yaw [deg] if they are given.
 
-    Raises InputError for other content.
+    Raises InputError if `position` has other content.
     """
     words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
@@ -283,7 +284,7 @@ def _position_numbers(name: str, position: object) -> Floats:
 
 
 def _station_position_text(station: str, place: Floats) -> str:
-    """Text of the name of a station and its position (3,) [m]."""
+    """Text with the name of a station and its position `place` (3,) [m]."""
     x, y, z = place
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
 
@@ -294,6 +295,7 @@ def _horizontal_distances(places: Floats, place: Floats) -> Floats:
 
 
 def _station_index(survey: PlannedSurvey, name: str) -> int:
+    """Index of the station `name` in the survey; raises InputError for an unknown name."""
     if name not in survey.station_names:
         raise InputError(str(unknown_name_error("station", name, survey.station_names)))
     return survey.station_names.index(name)
@@ -302,9 +304,10 @@ def _station_index(survey: PlannedSurvey, name: str) -> int:
 def _evaluate_alternative(
     problem: PlanningProblem, search_space: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
 ) -> StationAlternative:
-    """Alternative with the layout of `survey`, and its verdict by rules and tolerances, or rules and the worst point.
+    """Alternative with the layout of `survey`, and its verdict by the rules and tolerances of the plan.
 
-    `description` is the text of the new position, `move` the value of the option `--move`.
+    Without tolerances the verdict reports the worst point. `description` is the text of the new position, `move` the
+    value of the option `--move`.
     """
     demands, built, broken = (
         PointTolerances.from_plan_file(problem.plan_file),
@@ -328,5 +331,5 @@ def _evaluate_alternative(
         return StationAlternative(description, survey, rules + check.violations_clause, np.inf, False, move)
     worst_point = max(check.error_by_point_m, key=lambda name: check.error_by_point_m[name])
     worst_error = check.error_by_point_m[worst_point]
-    text = f"{rules}worst point {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 % confidence"
+    text = f"{rules}worst point {worst_point}: error at most {worst_error / MICROMETRE:.1f} um at 95 % confidence"
     return StationAlternative(description, survey, text, worst_error, not broken, move)

@@ -17,49 +17,50 @@ from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.planning.planner import PlannedNetwork
 
 MAX_PLUMB_HEIGHT = 2.2
-"""Largest height [m] from which a point is plumbed to the floor; distances to higher points are measured straight."""
+"""Largest height [m] from which a point is plumbed to the floor; the tape distance to a higher point is straight."""
 MAX_TAPE_DISTANCE = 15.0
 """Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
-MAX_CONSIDERED_MARKS = 16
+MAX_CONSIDERED_TAPE_MARKS = 16
 """Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
-MIN_STRAIGHT_STRENGTH_GAIN = 0.1
-"""Smallest increase of `intersection_strength` at which a straight distance to a reflector is used instead of a
-distance along the floor."""
+MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE = 0.1
+"""Smallest increase of `intersection_strength` at which a straight distance to a reflector replaces a distance along
+the floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
 MAX_TAPE_POSITION_ERROR = 0.03
-"""Largest uncertainty [m] of the position from three distances read with `TAPE_RESOLUTION`, above which the work order
-asks for another way to locate the tripod.
-"""
+"""Largest uncertainty [m] of a tripod position from three distances read to `TAPE_RESOLUTION`. Above it the work order
+asks the user to mark the position in another way."""
 MIN_SECOND_INTERSECTION_MISCLOSURE = 0.1
-"""Difference [m] between the third tape distance and the distance of its mark from the second intersection of the first
-two, below which the position is ambiguous."""
+"""Smallest difference [m] by which the third tape distance must exclude the second intersection of the first two
+distances. Below it the position is ambiguous."""
 MIN_TAPE_DISTANCE = 0.3
 """Smallest distance [m] from a tripod at which a mark (end point of a tape distance) is used."""
 TAPE_CLEARANCE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
-"""Smallest increase of `intersection_strength` that justifies three tape distances whose longest one is longer by a
-metre."""
-MIN_MOVED_SIGMAS = 3.0
-"""Difference between two measurements of a point, in standard deviations, above which tripod or point has moved."""
-N_REPEATED_POINTS = 3
-"""Number of points that are measured again at the end of each station."""
+"""Smallest increase of `intersection_strength` for which three tape distances are preferred although their longest is
+one metre longer."""
+MAX_REPEAT_DIFFERENCE_SIGMAS = 3.0
+"""Difference between two measurements of a point, in standard deviations, above which the tripod or the point has
+moved."""
+N_REPEATED_POINTS_PER_STATION = 3
+"""Number of points that are measured again at the end of each station, to detect a moved tripod."""
 
 
 @dataclass(frozen=True)
 class TapeDistance:
-    """Distance between the position of a tripod and a mark, along the floor or straight.
+    """Distance between a tripod and a mark, measured with a tape along the floor or straight.
 
-    Along the floor it leads from the point below the head to the point below the mark, straight from the head to a
-    reflector.
+    A distance along the floor leads from the point below the tracker head to the point below the mark, a straight one
+    from the head to a reflector.
     """
 
     mark_name: str
+    """Name of the mark: a reflector, or a corner of the hall."""
     mark_position: Floats
     """Coordinates of the mark, (3,) [m]."""
     length: float
-    """Length of the distance [m]."""
+    """Distance [m] that the tape should show."""
     is_along_floor: bool
     """True for a distance along the floor, False for a straight one."""
 
@@ -79,29 +80,30 @@ class TapeDistance:
 
 @dataclass(frozen=True)
 class StationInstruction:
-    """Instructions for one station in the work order."""
+    """Instructions for one station in the work order of a plan."""
 
     name: str
+    """Name of the station."""
     head_height: float
     """Height [m] of the head's centre above the floor."""
     tape_distances: tuple[TapeDistance, ...]
-    """Three distances, which determine the position of the tripod unless there is a `deficiency_sentence`."""
+    """Three tape distances that locate the tripod; `deficiency_sentence` reports if they are insufficient."""
     deficiency_sentence: str
-    """Sentence on why the distances do not determine the position; empty if they do."""
+    """Sentence with the reason why the tape distances do not determine the position; empty if they do."""
     zero_direction_text: str
     """Text of the direction of azimuth zero."""
     target_order: tuple[str, ...]
-    """Targets in the order of their first pointing."""
+    """Names of the targets in the order of their first pointing."""
     permitted_difference_by_repeated_target: dict[str, float]
-    """Largest permitted difference [m] between both measurements of each target to be measured again at the end, by
-    name of the target."""
+    """Largest permitted difference [m] between the first and the repeated measurement of each target that is measured
+    again at the end, by name of the target."""
     minutes: float
     """Duration [min] of all pointings from this station."""
 
 
 def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]:
-    """Instructions for the stations of a plan, in the order of measurement."""
-    survey, built = plan.layout.survey, plan.layout.information.construction
+    """Instructions for each station of a plan, in the order of measurement."""
+    survey, built = plan.layout.survey, plan.layout.expected_precision.construction
     recording = survey.noise_free_recording(built)
     sightings = sightings_at_state(recording, survey.nominal_state(built))
     sigma = survey.noise_sigmas(sightings) * survey.is_recorded_observable
@@ -113,8 +115,14 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
         at = survey.station_names.index(name)
         place, visible = survey.station_positions[at], survey.is_visible[at]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
-        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, N_REPEATED_POINTS).round().astype(int))]
-        limit = {t: MIN_MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        again = [
+            order[i]
+            for i in np.unique(np.linspace(0, len(order) - 1, N_REPEATED_POINTS_PER_STATION).round().astype(int))
+        ]
+        limit = {
+            t: MAX_REPEAT_DIFFERENCE_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]])
+            for t in again
+        }
         tapes = _best_tape_distances(_candidate_tape_distances(plan, place, visible), place)
         settings.append(
             StationInstruction(
@@ -134,10 +142,9 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
 def _candidate_tape_distances(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
     """Tape distances from a station at `place` (3,) [m] to possible marks, in order of preference.
 
-    Distances within reach of a tape come before longer ones, those along the floor before straight ones, short ones
+    Distances within reach of a tape come before longer ones, distances along the floor before straight ones, short ones
     before long ones. Distances along the floor lead to points that can be plumbed and to corners of the hall, if no
-    obstacle and no keep-out area is in the path; straight ones lead to the reflectors that `is_visible` (T,) flags,
-    among T targets.
+    obstacle and no keep-out area is in the path. Straight ones lead to the reflectors that `is_visible` (T,) flags.
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
@@ -160,14 +167,15 @@ def _candidate_tape_distances(plan: PlannedNetwork, place: Floats, is_visible: B
     ]
     candidates = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
     return sorted(candidates, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
-        :MAX_CONSIDERED_MARKS
+        :MAX_CONSIDERED_TAPE_MARKS
     ]
 
 
 def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
-    """Three short distances with a good intersection that determine the position `place` (3,) [m] uniquely.
+    """Three short distances with a strong intersection that determine the position `place` (3,) [m] uniquely.
 
-    If there are none, the result is the three distances with the strongest intersection, or all if fewer than three.
+    If no three distances do, the result is the three with the strongest intersection, or all if there are fewer than
+    three.
     """
 
     def preference(candidate_distances: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
@@ -183,24 +191,28 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
         return (
             good,
             good and longest <= MAX_TAPE_DISTANCE,
-            strength - good * (MIN_STRENGTH_GAIN_PER_METRE * longest + MIN_STRAIGHT_STRENGTH_GAIN * straight),
+            strength
+            - good * (MIN_STRENGTH_GAIN_PER_METRE * longest + MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE * straight),
         )
 
     return max(combinations(marks, 3), key=preference, default=tuple(marks))
 
 
 def intersection_strength(distances: Sequence[TapeDistance], place: Floats) -> float:
-    """Strength of the intersection of distances: smallest change of the distances if `place` moves by one metre.
+    """Strength of the intersection of tape distances: smallest change of the distances if `place` moves by one metre.
 
-    It is the smallest singular value of the gradients of the distances with respect to the horizontal coordinates of
-    `place` (3,) [m], between 0 (undetermined) and the square root of the number of distances.
+    It is the smallest singular value of the derivatives of the distances by the horizontal coordinates of `place` (3,)
+    [m]. The value is between 0 (undetermined) and the square root of the number of distances.
     """
     slopes = np.array([(place[:2] - mark.mark_position[:2]) / mark.length for mark in distances])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
 def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floats) -> str:
-    """Sentence on why distances, read to `TAPE_RESOLUTION`, do not determine the position `place`; empty if they do."""
+    """Sentence with the reason why tape distances do not determine the position `place` (3,) [m]; empty if they do.
+
+    The distances are read to `TAPE_RESOLUTION`.
+    """
     if len(tape_distances) < 3:
         return "Fewer than three points are within reach of a tape: mark the position in another way."
     if (strength := intersection_strength(tape_distances, place)) * MAX_TAPE_POSITION_ERROR < TAPE_RESOLUTION:
@@ -218,11 +230,15 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
         or np.abs(misses).max() > MIN_SECOND_INTERSECTION_MISCLOSURE
     ):
         return ""
-    return f"The two taped distances also meet at x {mirror[0]:.2f}, y {mirror[1]:.2f} m, which is not the station."
+    position = f"x {mirror[0]:.2f}, y {mirror[1]:.2f} m"
+    return f"The tape distances also fit a wrong position, {position}: check the side of the marks."
 
 
 def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:
-    """Text of the direction of azimuth zero: the visible target with the nearest direction, and the angle from it."""
+    """Text of the direction of azimuth zero: the nearest visible target, and the angle from it.
+
+    `place` (3,) [m] is the position of the station, `is_visible` (T,) flags the visible targets.
+    """
     survey = plan.layout.survey
     way = survey.target_points[is_visible] - place
     direction_errors = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
@@ -233,7 +249,7 @@ def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_vis
 
 
 def operator_check_sentences(plan: PlannedNetwork) -> list[str]:
-    """Checks that the operator makes during the measurement of a plan, in their order, one sentence each."""
+    """Sentences on the checks that the operator makes during the measurement of a plan, in the order of the work."""
     survey, file = plan.layout.survey, plan.plan_file
     sentences = [
         f"Before the first pointing: the tracker is warm, its built-in checks are passed, the air has the planned "

@@ -13,7 +13,7 @@ from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.true_network import TrueNetwork, make_true_network
 from ltsim.core.errors import InputError, NetworkError
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.simulation.physics import planned_construction
@@ -59,9 +59,9 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: TrueNetwork) -> No
         slots[None],
         with_target_errors=True,
     )
-    slow = LayoutInformation.from_survey(there, built)
+    slow = ExpectedPrecision.from_survey(there, built)
     assert fast.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
-    known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
+    known = np.sqrt(np.diag(np.linalg.inv(fast.information_matrices[0]))) * slow.prior_sigma
     np.testing.assert_allclose(known, slow.instrument_sigmas, rtol=1e-6)
     found = BatchCalibrator(truth, built).calibrate(truth.draw_batch(5, 0))
     points = truth.state.target_points
@@ -81,9 +81,9 @@ def test_ranges_from_two_stations_place_nothing(truth: TrueNetwork) -> None:
         slots[None],
         with_target_errors=True,
     )
-    assert not np.isfinite(out.information).any()
+    assert not np.isfinite(out.information_matrices).any()
     with pytest.raises(NetworkError, match="do not determine target T01"):
-        LayoutInformation.from_survey(lost)
+        ExpectedPrecision.from_survey(lost)
 
 
 def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: TrueNetwork) -> None:

@@ -12,7 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.acceptance.spec import load_acceptance
 from ltsim.campaigns.spec import load_campaign
-from ltsim.cli.examples import EXAMPLE_COMMANDS, example_file_content
+from ltsim.cli.examples import COMMAND_BY_EXAMPLE_FILE, example_file_content
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
 from ltsim.measurands.spec import load_tasks
@@ -22,8 +22,10 @@ from ltsim.planning.loading import load_plan
 def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "mine"
     assert run(["examples", str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == sorted(EXAMPLE_COMMANDS, key=list(EXAMPLE_COMMANDS).index)
-    assert {path.name for path in folder.iterdir()} == set(EXAMPLE_COMMANDS)
+    assert json.loads(capsys.readouterr().out)["files"] == sorted(
+        COMMAND_BY_EXAMPLE_FILE, key=list(COMMAND_BY_EXAMPLE_FILE).index
+    )
+    assert {path.name for path in folder.iterdir()} == set(COMMAND_BY_EXAMPLE_FILE)
     survey = lt.read(folder / "survey.csv")
     assert len(survey) > 20
     plan, scenario = load_plan(folder / "machine-plan.toml")
@@ -43,7 +45,7 @@ def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys:
 def test_a_command_beside_a_file_runs_as_it_stands(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(["examples", ".", "--quiet"]) == 0
-    command = EXAMPLE_COMMANDS[name] or "ltsim calibrate survey.csv --frame hall.csv --out calibrated"
+    command = COMMAND_BY_EXAMPLE_FILE[name] or "ltsim calibrate survey.csv --frame hall.csv --out calibrated"
     assert run([*shlex.split(command)[1:], "--quiet"]) in (0, 1)
     assert list(Path(command.split("--out ")[1].split()[0]).iterdir())
 

@@ -96,7 +96,7 @@ def test_an_interrupted_campaign_says_what_is_kept(
 
 
 def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 0.01)
+    monkeypatch.setattr(terminal, "FIRST_PROGRESS_DELAY_S", 0.01)
     for quiet in (False, True):
         told = io.StringIO()
         monkeypatch.setattr(sys, "stderr", told)

@@ -124,7 +124,7 @@ def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings
     assert f"{name}: " in page
     capsys.readouterr()
     assert run(["correct", str(source), "--calibration", str(fitted), "--out", str(tmp_path / "rec3")]) == 0
-    assert "not removed from the readings: layered air" in capsys.readouterr().err
+    assert "stay in the readings: layered air" in capsys.readouterr().err
 
 
 def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:

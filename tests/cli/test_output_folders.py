@@ -12,7 +12,7 @@ import pytest
 
 from ltsim.cli.main import COMMANDS, command_function, run
 from ltsim.cli.options import _output_option_checks, typer_command
-from ltsim.cli.output_checks import COMPARED_FILE_OUTPUT, FILE_OUTPUT
+from ltsim.cli.output_checks import COMPARED_FILE_OUTPUT, NEW_FILE_OUTPUT
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -62,7 +62,7 @@ def folder_outputs() -> set[tuple[str, str]]:
         for name, _, output in _output_option_checks(
             [*signature(typer_command(verb, command_function(verb))).parameters.values()]
         )
-        if output not in (COMPARED_FILE_OUTPUT, FILE_OUTPUT)
+        if output not in (COMPARED_FILE_OUTPUT, NEW_FILE_OUTPUT)
     }
 
 

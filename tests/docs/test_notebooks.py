@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from ltsim.cli.examples import EXAMPLE_COMMANDS, example_file_content
+from ltsim.cli.examples import COMMAND_BY_EXAMPLE_FILE, example_file_content
 from ltsim.cli.main import run
 
-NOTEBOOKS = [name for name in EXAMPLE_COMMANDS if name.endswith(".ipynb")]
+NOTEBOOKS = [name for name in COMMAND_BY_EXAMPLE_FILE if name.endswith(".ipynb")]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 SHOWN = 0.02
 """Relative difference of printed numbers: their last digits depend on the processor."""

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from ltsim.core.errors import ModelError
-from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedDisagreement, ExpectedPrecision
 from tests.planning.fixtures import survey
 
 sensitivity = import_module("experiments.14_what_drives_improvement.run").sensitivity
 
 
-class Known(CriteriaPredictor):
+class Known(DisagreementPredictor):
     """A predictor whose criteria are a sum of logarithms: variances 1, 4 and an interaction of 1 on the last output."""
 
     def __init__(self) -> None:
         pass
 
-    def expected_criteria(self, group_sizes=None):  # type: ignore[no-untyped-def]
+    def expected_disagreement(self, group_sizes=None):  # type: ignore[no-untyped-def]
         a, b = (np.sqrt(3) * np.log(group_sizes[name]) for name in ("a", "b"))
-        return ExpectedCriteria(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
+        return ExpectedDisagreement(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
 
 
 def test_indices_of_a_case_with_known_answer() -> None:
@@ -40,7 +40,7 @@ def test_indices_of_a_case_with_known_answer() -> None:
 
 
 def test_what_is_left_after_calibration_is_noise_and_not_the_instrument() -> None:
-    predictor = CriteriaPredictor.from_information(LayoutInformation.from_survey(survey((1, 2), 2)))
+    predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1, 2), 2)))
     ranges = dict.fromkeys(("range noise", "angle noise", "angle errors"), (0.5, 2.0))
     found = sensitivity(predictor, ranges, samples=128, seed=1)
     after = {row["input"]: row["total"] for row in found if row["output"] == "distance after"}
@@ -52,6 +52,6 @@ def test_what_is_left_after_calibration_is_noise_and_not_the_instrument() -> Non
 
 
 def test_a_group_of_errors_that_does_not_exist_is_refused() -> None:
-    predictor = CriteriaPredictor.from_information(LayoutInformation.from_survey(survey((1,), 2)))
+    predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1,), 2)))
     with pytest.raises(ModelError, match="did you mean"):
         sensitivity(predictor, {"range nose": (1.0, 2.0)}, samples=4, seed=0)

@@ -139,7 +139,7 @@ def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest
     second = listed(tmp_path / "second.csv", moved @ turn.T + [100.0, 50.0, -20.0])
     found = lt.compare(first, second)
     assert found.has_common_rigid_motion and len(found.moved_points) == 7
-    assert "aligned by free=True, 1 of 7 points moved: R3" in found.notes[-1]
+    assert "after alignment of the lists by free=True, 1 of 7 points moved: R3" in found.notes[-1]
     run(["compare", str(first), str(second)])
     printed = capsys.readouterr().out
     assert "compare them with --free" in printed and "re-measure" not in printed

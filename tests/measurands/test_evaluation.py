@@ -15,7 +15,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import InputError, ModelError
 from ltsim.core.randomness import random_stream
 from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
-from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
+from ltsim.measurands.inputs import PRIOR_SOURCE_NAME, REFERENCE_LENGTHS_SOURCE_NAME, TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import propagate, run_monte_carlo, shortest_intervals, thermal_expansion_of_part
 from ltsim.measurands.spec import DecisionRule, MonteCarloSettings, Task, Tasks, ToleranceLimits, validate_tasks
@@ -64,7 +64,7 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
     monkeypatch.setattr("ltsim.measurands.propagation.MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS", 20_000)
     few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "max_trials": 5_000_000}))
     assert few.monte_carlo_uncertainty.n_trials == 10_000
-    assert any("divide the tasks among task files" in warning for warning in few.warnings)
+    assert any("divide the tasks among several task files" in warning for warning in few.warnings)
     with pytest.raises(InputError, match=r"type_b .*at most 200"):
         tasks(type_b=[{"effect": "range-step"}] * 201)
 
@@ -72,10 +72,10 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
 def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
     evaluation_types = {source.name: source.evaluation_type for source in inputs.sources}
-    assert evaluation_types["distance readings"] == "A" and evaluation_types[PRIOR_SOURCE] == "B"
+    assert evaluation_types["distance readings"] == "A" and evaluation_types[PRIOR_SOURCE_NAME] == "B"
     in_adjustment = {name for name, kind in evaluation_types.items() if kind == "A"} | {
-        PRIOR_SOURCE,
-        LENGTHS_SOURCE,
+        PRIOR_SOURCE_NAME,
+        REFERENCE_LENGTHS_SOURCE_NAME,
     }
     own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
@@ -95,7 +95,7 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
     names = {"range error of a reflector as a function of incidence", "error that readings share"}
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
-    assert type_b_names == names | {PRIOR_SOURCE, LENGTHS_SOURCE}
+    assert type_b_names == names | {PRIOR_SOURCE_NAME, REFERENCE_LENGTHS_SOURCE_NAME}
     for i, name in enumerate(inputs.target_names):
         block = inputs.network_or_coordinates.target_covariance[
             inputs.network_or_coordinates.recording.targets.index(name)
@@ -121,7 +121,13 @@ def test_budgets_add_up_and_both_ways_agree() -> None:
     total = np.sum(list(found.linear_uncertainty.variance_by_source.values()), axis=0)
     assert np.allclose(total, np.diag(found.linear_uncertainty.covariance), rtol=1e-9)
     regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
-    assert np.allclose((found.monte_carlo_uncertainty.sigmas / found.linear_uncertainty.sigma)[regular], 1.0, atol=0.03)
+    assert np.allclose(
+        (found.monte_carlo_uncertainty.standard_uncertainties / found.linear_uncertainty.standard_uncertainties)[
+            regular
+        ],
+        1.0,
+        atol=0.03,
+    )
     assert found.nonlinearity_ratios[regular].max() < 0.05
 
 
@@ -189,7 +195,7 @@ def test_long_ranges_have_the_air_in_their_budget() -> None:
     found = evaluate_tasks(far, length)
     assert names <= set(found.linear_uncertainty.variance_by_source)
     assert "0.5 K along the beams" in found.warnings[0]
-    along = 0.5 * 0.95e-6 * found.linear_uncertainty.values[0]
+    along = 0.5 * 0.95e-6 * found.linear_uncertainty.result_values[0]
     assert 0.3 * along < np.sqrt(found.linear_uncertainty.variance_by_source["temperature of the air"][0]) < 3.0 * along
     stated = TaskInputs.from_recording(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
     assert {"gradient of the air", "turbulence"} == names & {source.name for source in stated.sources}
@@ -208,7 +214,7 @@ def test_published_distributions() -> None:
         inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
         linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
         found = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
-        assert found.sigmas[0] == pytest.approx(sigma, rel=1e-3)
+        assert found.standard_uncertainties[0] == pytest.approx(sigma, rel=1e-3)
         assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
         assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
@@ -279,8 +285,8 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
     plain = evaluate_tasks(recording, tasks(type_b=[]))
     growth = {"expansion_per_k": 20e-6, "measured_c": 25.0, "sigma_expansion_per_k": 1e-6, "sigma_temperature_k": 0.5}
     grown = evaluate_tasks(recording, tasks(type_b=[], part_expansion=growth))
-    length = plain.linear_uncertainty.values[0]
-    assert grown.linear_uncertainty.values[0] == pytest.approx(length / (1 + 5 * 20e-6), rel=1e-12)
+    length = plain.linear_uncertainty.result_values[0]
+    assert grown.linear_uncertainty.result_values[0] == pytest.approx(length / (1 + 5 * 20e-6), rel=1e-12)
     assert grown.linear_uncertainty.variance_by_source["expansion of the part"][0] == pytest.approx(
         (length * 5e-6) ** 2, rel=1e-3
     )

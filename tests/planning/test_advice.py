@@ -44,14 +44,14 @@ POINTS = (
 INSIDE_PRESS = (4500, 2800, 1000)
 
 
-def plan_text(points: tuple[tuple[int, int, int], ...] = POINTS) -> str:
+def builtin_plan_text(points: tuple[tuple[int, int, int], ...] = POINTS) -> str:
     named = zip("ABCDEFG", points, strict=False)
     return PLAN + "".join(f'[[points]]\nname = "{n}"\nx_mm = {x}\ny_mm = {y}\nz_mm = {z}\n' for n, (x, y, z) in named)
 
 
 @pytest.fixture
 def hall(tmp_path: Path) -> Path:
-    (tmp_path / "hall.toml").write_text(plan_text())
+    (tmp_path / "hall.toml").write_text(builtin_plan_text())
     return tmp_path / "hall.toml"
 
 
@@ -67,7 +67,7 @@ def test_a_moved_layout_has_one_set_of_sights(hall: Path) -> None:
         "(stations.position_tolerance_mm): S1 to F."
     )
     assert sentence in plan.reasons
-    hall.write_text(plan_text().replace("count = 2", "count = 2\nposition_tolerance_mm = 0"))
+    hall.write_text(builtin_plan_text().replace("count = 2", "count = 2\nposition_tolerance_mm = 0"))
     exact = lt.plan(hall, move={"S1": (1500, 3000), "S2": (3000, 1200)})
     assert exact.network.layout.survey.n_pointings == plan.network.layout.survey.n_pointings + 1
     assert "marginal" not in " ".join(exact.reasons)
@@ -92,7 +92,7 @@ def test_a_fixed_count_chooses_the_fastest_procedure_within_the_tolerances(hall:
     fast = lt.plan(hall)
     assert fast.goal_reached and (fast.faces, fast.repeats) == (1, 1)
     error = max(r.point_error_mm for r in fast.reflectors if r.point_error_mm is not None)
-    hall.write_text(plan_text().replace("tolerance_mm = 0.03", f"tolerance_mm = {0.8 * error:.5f}"))
+    hall.write_text(builtin_plan_text().replace("tolerance_mm = 0.03", f"tolerance_mm = {0.8 * error:.5f}"))
     slower = lt.plan(hall)
     assert slower.goal_reached and slower.faces * slower.repeats > 1
     work = "[work]\nfaces = 1\n[budget]\nfaces = [1]\nrepeats = [1]\n[[goal"
@@ -101,7 +101,9 @@ def test_a_fixed_count_chooses_the_fastest_procedure_within_the_tolerances(hall:
 
 
 def test_faces_and_rounds_of_a_budget_need_hours_or_tolerances(hall: Path) -> None:
-    text = plan_text().replace("[[goal.tolerances]]\ntolerance_mm = 0.03\n", "[budget]\nfaces = [1]\nrepeats = [1]\n")
+    text = builtin_plan_text().replace(
+        "[[goal.tolerances]]\ntolerance_mm = 0.03\n", "[budget]\nfaces = [1]\nrepeats = [1]\n"
+    )
     hall.write_text(text)
     with pytest.raises(InputError, match=r"budget.faces and budget.repeats have no effect without budget.max_h"):
         load_plan(hall)
@@ -111,7 +113,7 @@ def test_faces_and_rounds_of_a_budget_need_hours_or_tolerances(hall: Path) -> No
 
 
 def test_a_point_inside_a_body_is_named_with_the_body(hall: Path) -> None:
-    text = plan_text((*POINTS, INSIDE_PRESS))
+    text = builtin_plan_text((*POINTS, INSIDE_PRESS))
     sentence = r"^no place on the floor sees G, from heads at 1500 mm; G lies inside an obstacle \(press\): move "
     for count, asked in ((2, 1), (3, 2), (3, 3)):
         stations = f"count = {count}\nmin_stations_per_target = {asked}"
@@ -151,5 +153,5 @@ def test_an_evaluation_without_a_folder_says_that_nothing_is_written(
 ) -> None:
     monkeypatch.chdir(hall.parent)
     assert run(["plan", str(hall), "--move", "S1=1500,3000"]) == 0
-    assert "no file was written; --out DIR writes this plan" in capsys.readouterr().out
+    assert "No file was written; --out DIR writes this plan" in capsys.readouterr().out
     assert [path.name for path in hall.parent.iterdir()] == ["hall.toml"]

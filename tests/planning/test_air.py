@@ -16,7 +16,7 @@ from ltsim.physics.effects.air import (
     reading_changes_per_air_sigma,
 )
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.search_inputs import make_search_space
 from ltsim.recordings.air import AirUncertainty
@@ -28,8 +28,8 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     built, air = misalignment_construction(), AirUncertainty(turbulence_um2_per_m3=0.0, negligible_up_to_mm=0.0)
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
-    information = LayoutInformation.from_survey(made, built)
-    added = information.target_covariance - LayoutInformation.from_survey(without, built).target_covariance
+    information = ExpectedPrecision.from_survey(made, built)
+    added = information.target_covariance - ExpectedPrecision.from_survey(without, built).target_covariance
     recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
     errors = reading_changes_per_air_sigma(air, sightings)
     moved = []
@@ -65,5 +65,5 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
     assert with_air.air == AirUncertainty()
     assert without.air is None
     assert make_search_space(*load_plan("paper-workshop"), n_stations=5, n_faces=2).survey.air is None
-    larger = LayoutInformation.from_survey(with_air).target_rms
-    assert larger > 1.05 * LayoutInformation.from_survey(without).target_rms
+    larger = ExpectedPrecision.from_survey(with_air).target_rms
+    assert larger > 1.05 * ExpectedPrecision.from_survey(without).target_rms

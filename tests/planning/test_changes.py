@@ -10,7 +10,7 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT_QUALITY_NAME, TARGETS_QUALITY_NAME, LayoutObjective
 from ltsim.planning.planner import objective_and_qualities
@@ -45,7 +45,7 @@ def changed(survey: PlannedSurvey, change: ReflectorChangeEntry) -> PlannedSurve
 
 def point_error(survey: PlannedSurvey, names: list[str]) -> float:
     """Point error [m] of some targets, root mean square, inner constraints over them."""
-    found = LayoutInformation.from_survey(survey).adjustment.with_inner_datum(names)
+    found = ExpectedPrecision.from_survey(survey).adjustment.with_inner_datum(names)
     trace = np.einsum("tii->t", found.target_covariance)
     return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
 
@@ -83,7 +83,7 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
     found = evaluate_reflector_changes(where, made, np.arange(28) < 4, LayoutObjective(), misalignment_construction())
     assert found.n_useful_by_kind["move"] == 0, "the exchange has made every move that helps"
     assert found.n_evaluated_by_kind["move"] > 300
-    assert f"{found.n_evaluated_by_kind['move']} moves of a reflector (0 help)" in found.summary_sentence
+    assert f"{found.n_evaluated_by_kind['move']} moves of a reflector (0 useful)" in found.summary_sentence
     alone = evaluate_reflector_changes(site(), site().survey, STAYS, LayoutObjective(), misalignment_construction())
     assert alone.n_evaluated_by_kind == {"move": 0, "add": 0, "remove": 24}
     assert "Give candidate places" in alone.summary_sentence
@@ -95,7 +95,7 @@ def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     made = choose_reflectors(
         where, where.survey, STAYS, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
     )
-    assert LayoutInformation.from_survey(made).target_rms < 0.9 * LayoutInformation.from_survey(where.survey).target_rms
+    assert ExpectedPrecision.from_survey(made).target_rms < 0.9 * ExpectedPrecision.from_survey(where.survey).target_rms
 
 
 def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         )
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         file, scenario = load_plan(tmp_path / "hall.toml")
-        where = make_search_space(file, scenario, n_stations=4, n_faces=1).replace(min_sights=1)
+        where = make_search_space(file, scenario, n_stations=4, n_faces=1).replace(min_sights_per_target=1)
         survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
         stays = is_target_never_moved(file, scenario, survey)
         found = evaluate_reflector_changes(

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses
 from tests.planning.test_search import site
 
@@ -25,4 +25,4 @@ def test_a_survey_without_a_station_or_a_target_is_no_network() -> None:
     assert not check_tolerances(alone.without_station(0), demands, misalignment_construction()).meets_all_tolerances
     for nothing in (alone.without_station(0), alone.with_targets_only(np.zeros(len(alone.target_points), dtype=bool))):
         with pytest.raises(NetworkError, match="no station sees a target"):
-            LayoutInformation.from_survey(nothing)
+            ExpectedPrecision.from_survey(nothing)

@@ -111,7 +111,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is not an outline:"),
         ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the hall"),
         ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but tracker heads are at 1400"),
-        ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
+        ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "both scenario and [workshop]"),
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the hall"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\ntolerance_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "has 0 reflectors"),
@@ -318,7 +318,7 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
     assert (
         tape_deficiency_sentence(in_line, place)
-        == "The two taped distances also meet at x 3.00, y -2.00 m, which is not the station."
+        == "The tape distances also fit a wrong position, x 3.00, y -2.00 m: check the side of the marks."
     )
     flat = tape_deficiency_sentence(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
     assert re.fullmatch(
@@ -355,7 +355,7 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
         "3 to 4 stations: no layout has every point in sight of 2 stations (the closest layout lacks sights of M2)",
         "5 stations: the best layout has an error of 1.2 times its tolerance",
     ]
-    site = SimpleNamespace(min_sights=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
+    site = SimpleNamespace(min_sights_per_target=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
     visible = np.array([[True, True, True], [True, False, False], [True, False, True]])
     placement = StationPlacement(np.zeros((3, 3)), visible, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
     assert [SearchSpace.unseen_targets_text(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == [

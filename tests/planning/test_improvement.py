@@ -12,7 +12,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
-from ltsim.planning.information import CriteriaPredictor, LayoutInformation, expected_vector_length
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedPrecision, expected_vector_length
 from tests.planning.fixtures import survey
 
 TRIALS = 60
@@ -30,8 +30,8 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     """Noise, known lengths, instrument and an effect that the calibration does not know are drawn anew each time."""
     made, construction = survey((1,)), misalignment_construction()
     effect = RangeCyclic(wavelength=0.9)
-    information = LayoutInformation.from_survey(made)
-    expected = CriteriaPredictor.from_information(information, [effect]).expected_criteria(
+    information = ExpectedPrecision.from_survey(made)
+    expected = DisagreementPredictor.from_expected_precision(information, [effect]).expected_disagreement(
         {"angle errors": 0.5, "range-cyclic": 0.5}
     )
     scale = np.array([0.5 if p.specified_quantity == "angle" else 1.0 for p in construction.parameters])
@@ -62,20 +62,20 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         found.append([1e-6 * size for size in sizes if size is not None])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
     predicted = [
-        expected.distance_criterion_before[0],
-        expected.distance_criterion_after[0],
-        expected.coordinate_criterion_before[0],
-        expected.coordinate_criterion_after[0],
+        expected.distance_disagreement_before[0],
+        expected.distance_disagreement_after[0],
+        expected.coordinate_disagreement_before[0],
+        expected.coordinate_disagreement_after[0],
     ]
     assert np.all(np.abs(mean - predicted) < 3.5 * error + 0.005 * mean)
     assert error[1] < 0.03 * mean[1], "the comparison would not notice a wrong prediction"
 
 
 def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
-    predictor = CriteriaPredictor.from_information(LayoutInformation.from_survey(survey((1,), 2)))
-    many = predictor.expected_criteria({"range noise": np.array([0.0, 1.0, 2.0])})
-    assert np.all(np.diff(many.distance_criterion_after) > 0)
-    one = predictor.expected_criteria({"range noise": 2.0})
-    assert many.coordinate_criterion_after[2] == pytest.approx(one.coordinate_criterion_after[0], rel=1e-12)
+    predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1,), 2)))
+    many = predictor.expected_disagreement({"range noise": np.array([0.0, 1.0, 2.0])})
+    assert np.all(np.diff(many.distance_disagreement_after) > 0)
+    one = predictor.expected_disagreement({"range noise": 2.0})
+    assert many.coordinate_disagreement_after[2] == pytest.approx(one.coordinate_disagreement_after[0], rel=1e-12)
     with pytest.raises(ModelError, match="range noise"):
-        predictor.expected_criteria({"range nose": 1.0})
+        predictor.expected_disagreement({"range nose": 1.0})

@@ -15,7 +15,7 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
-from ltsim.planning.information import CriteriaPredictor, LayoutInformation
+from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedPrecision
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.normal_blocks import NormalBlocks
 from ltsim.planning.objective import mean_detectable_size
@@ -33,7 +33,7 @@ def scattered(layouts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_information_is_that_of_the_solved_recording() -> None:
     """Noise moves the state by micrometres: the covariance at the optimum is the one predicted before."""
     made = survey()
-    information = LayoutInformation.from_survey(made)
+    information = ExpectedPrecision.from_survey(made)
     recording = made.noise_free_recording(misalignment_construction())
     noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
@@ -44,10 +44,10 @@ def test_information_is_that_of_the_solved_recording() -> None:
 
 
 def test_undetermined_combinations_have_the_gain_they_state() -> None:
-    information = LayoutInformation.from_survey(survey((1,)))
+    information = ExpectedPrecision.from_survey(survey((1,)))
     assert information.undetermined_combinations, "one face leaves the vertical group undetermined"
     for direction in information.undetermined_combinations:
-        left = direction.coefficient_vector @ information.scaled_covariance @ direction.coefficient_vector
+        left = direction.coefficient_vector @ information.covariance_in_prior_sigmas @ direction.coefficient_vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
@@ -64,7 +64,7 @@ def test_pose_covariance_does_not_depend_on_the_frame() -> None:
         station_yaws=made.station_yaws[order],
         station_names=tuple(f"P{i}" for i in order),
     )
-    first, second = LayoutInformation.from_survey(made), LayoutInformation.from_survey(turned)
+    first, second = ExpectedPrecision.from_survey(made), ExpectedPrecision.from_survey(turned)
     a, b = first.pose_covariance[order], second.pose_covariance
     scale = np.sqrt(np.einsum("sii->si", a))
     assert np.abs((a - b) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-7
@@ -80,13 +80,13 @@ def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
     blocks = reducer.normal_blocks(position.reshape(-1, 3), yaw.ravel(), is_visible=visible.reshape(-1, 28))
     out = reducer.evaluate_layouts(blocks, np.arange(30).reshape(6, 5), with_target_errors=True)
     for i in range(6):
-        slow = LayoutInformation.from_survey(
+        slow = ExpectedPrecision.from_survey(
             made.replace(station_positions=position[i], station_yaws=yaw[i], is_visible=visible[i])
         )
-        fast = np.linalg.inv(out.information[i])
-        assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.scaled_covariance)), rel=1e-9)
+        fast = np.linalg.inv(out.information_matrices[i])
+        assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.covariance_in_prior_sigmas)), rel=1e-9)
         scale = np.sqrt(np.diag(fast))
-        assert np.abs((fast - slow.scaled_covariance) / np.outer(scale, scale)).max() < 1e-9
+        assert np.abs((fast - slow.covariance_in_prior_sigmas) / np.outer(scale, scale)).max() < 1e-9
         assert out.weighted_target_rms[i] == pytest.approx(slow.weighted_target_rms, rel=1e-9)
 
 
@@ -99,7 +99,7 @@ def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() ->
         reducer.normal_blocks(made.station_positions, made.station_yaws), np.arange(5)[None], with_target_errors=True
     )
     assert out.weighted_target_rms[0] == pytest.approx(
-        LayoutInformation.from_survey(made, ideal_construction()).target_rms, rel=1e-9
+        ExpectedPrecision.from_survey(made, ideal_construction()).target_rms, rel=1e-9
     )
 
 
@@ -113,9 +113,9 @@ def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
         with_target_errors=True,
     )
     for i in range(4):
-        slow = LayoutInformation.from_survey(made.replace(station_positions=position[i], station_yaws=yaw[i]))
-        fast = np.linalg.inv(out.information[i])
-        assert np.abs(fast - slow.scaled_covariance).max() < 1e-7
+        slow = ExpectedPrecision.from_survey(made.replace(station_positions=position[i], station_yaws=yaw[i]))
+        fast = np.linalg.inv(out.information_matrices[i])
+        assert np.abs(fast - slow.covariance_in_prior_sigmas).max() < 1e-7
         assert out.weighted_target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
 
 
@@ -131,7 +131,7 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
     )
     assert np.isfinite(out.weighted_target_rms).tolist() == [True, False]
     with pytest.raises(NetworkError, match="not in one plane"):
-        LayoutInformation.from_survey(made.replace(station_positions=flat))
+        ExpectedPrecision.from_survey(made.replace(station_positions=flat))
 
 
 def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
@@ -144,8 +144,8 @@ def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws, np.arange(5)), np.arange(5)[None]
     )
-    own = np.linalg.inv(out.information[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
-    whole = LayoutInformation.from_survey(made)
+    own = np.linalg.inv(out.information_matrices[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
+    whole = ExpectedPrecision.from_survey(made)
     at = whole.construction.parameter_index("range-offset")
     without_prior = 1 / whole.instrument_covariance[at, at] - 1 / whole.prior_sigma[at] ** 2
     assert own == pytest.approx(1 / without_prior, rel=1e-8)
@@ -166,14 +166,14 @@ def masks() -> dict[str, np.ndarray]:
 def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
     made, visible = survey(), masks()[case]
     with pytest.raises(NetworkError, match="S3 sees fewer than three" if visible[2].sum() < 5 else "share more"):
-        LayoutInformation.from_survey(made.replace(is_visible=visible))
+        ExpectedPrecision.from_survey(made.replace(is_visible=visible))
     reducer = LayoutScorer(made)
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws, is_visible=visible),
         np.arange(5)[None],
         with_target_errors=True,
     )
-    assert not np.isfinite(out.information).any()
+    assert not np.isfinite(out.information_matrices).any()
     assert not np.isfinite(out.weighted_target_rms).any()
 
 
@@ -190,8 +190,8 @@ def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
         reducer.normal_blocks(made.station_positions, made.station_yaws), np.arange(5)[None]
     )
     for i in (0, -1):
-        assert out.information[i] == pytest.approx(alone.information[0], rel=1e-12, abs=1e-9)
-    assert not np.isfinite(out.information[1:-1]).any()
+        assert out.information_matrices[i] == pytest.approx(alone.information_matrices[0], rel=1e-12, abs=1e-9)
+    assert not np.isfinite(out.information_matrices[1:-1]).any()
 
 
 def test_rotation_of_a_survey_is_about_the_vertical() -> None:
@@ -215,9 +215,9 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
             for s in range(5)
         ]
     )
-    space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(made).adjustment)
+    space = ResidualSpace.from_adjustment(ExpectedPrecision.from_survey(made).adjustment)
     for blocks in (whole, alone):
-        information = reducer.evaluate_layouts(blocks, np.arange(5)[None]).information
+        information = reducer.evaluate_layouts(blocks, np.arange(5)[None]).information_matrices
         for k, effect in enumerate(effects):
             visible = detectability_of_variants(space, [effect])
             assert visible is not None
@@ -231,20 +231,21 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
 def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
     """It is a nuisance that costs information, the same in the batch and in its twin, and a group of the criteria."""
     made = planned_survey(load_scenario("paper-workshop"))
-    reducer, slow = LayoutScorer(made), LayoutInformation.from_survey(made)
+    reducer, slow = LayoutScorer(made), ExpectedPrecision.from_survey(made)
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws, np.arange(5)),
         np.arange(5)[None],
         with_target_errors=True,
     )
-    assert np.abs(np.linalg.inv(out.information[0]) - slow.scaled_covariance).max() < 1e-9
+    assert np.abs(np.linalg.inv(out.information_matrices[0]) - slow.covariance_in_prior_sigmas).max() < 1e-9
     assert out.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)
     targets = {name: target.model_copy(update={"reaimed": True}) for name, target in made.setup.targets.items()}
-    aimed = LayoutInformation.from_survey(made.replace(setup=made.setup.model_copy(update={"targets": targets})))
+    aimed = ExpectedPrecision.from_survey(made.replace(setup=made.setup.model_copy(update={"targets": targets})))
     ratio = slow.instrument_sigmas / aimed.instrument_sigmas
     assert ratio.min() > 1.0 - 1e-9 and ratio.max() > 1.2
     with_error, without = (
-        CriteriaPredictor.from_information(slow).expected_criteria({"reflectors": size}) for size in (1.0, 0.0)
+        DisagreementPredictor.from_expected_precision(slow).expected_disagreement({"reflectors": size})
+        for size in (1.0, 0.0)
     )
-    assert with_error.distance_criterion_before[0] > without.distance_criterion_before[0]
-    assert with_error.distance_criterion_after[0] > without.distance_criterion_after[0]
+    assert with_error.distance_disagreement_before[0] > without.distance_disagreement_before[0]
+    assert with_error.distance_disagreement_after[0] > without.distance_disagreement_after[0]

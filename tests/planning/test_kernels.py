@@ -19,7 +19,7 @@ import json
 import numpy as np
 from ltsim.core.errors import NetworkError
 from ltsim.planning.layout_scorer import LayoutScorer
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from tests.planning.fixtures import survey
 from tests.planning.test_information import masks
 
@@ -31,11 +31,11 @@ for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
         with_target_errors=True,
     )
     try:
-        LayoutInformation.from_survey(made.replace(is_visible=visible))
+        ExpectedPrecision.from_survey(made.replace(is_visible=visible))
         slow = "determined"
     except NetworkError:
         slow = "lost"
-    fast = np.isfinite(out.information).all() and np.isfinite(out.weighted_target_rms).all()
+    fast = np.isfinite(out.information_matrices).all() and np.isfinite(out.weighted_target_rms).all()
     found[name] = [slow, "determined" if fast else "lost"]
 print(json.dumps(found))
 """

@@ -16,8 +16,8 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError, ModelError
 from ltsim.planning import multistart_search
-from ltsim.planning.information import LayoutInformation
-from ltsim.planning.loading import load_plan, plan_names, plan_text
+from ltsim.planning.expected_precision import ExpectedPrecision
+from ltsim.planning.loading import builtin_plan_names, builtin_plan_text, load_plan
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario
@@ -71,7 +71,7 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
     scenario = load_scenario("paper-workshop")
     made = planned_survey(scenario)
     recording, _ = simulate(scenario, 0)
-    ours = made.noise_free_recording(LayoutInformation.from_survey(made).construction)
+    ours = made.noise_free_recording(ExpectedPrecision.from_survey(made).construction)
     assert np.array_equal(ours.station, recording.station)
     assert np.array_equal(ours.target, recording.target)
     assert ours.time == pytest.approx(recording.time)
@@ -79,9 +79,9 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
 
 
 def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: PlannedNetwork, result: Plan) -> None:
-    assert plan.reference_evaluation is not None
+    assert plan.scenario_layout_evaluation is not None
     content = result
-    factor = plan.reference_evaluation.qualities["instrument"] / plan.layout.qualities["instrument"]
+    factor = plan.scenario_layout_evaluation.qualities["instrument"] / plan.layout.qualities["instrument"]
     assert factor > 1.05
     assert any(
         f"the precision of the instrument parameters is {factor:.2f} times better" in sentence
@@ -99,9 +99,9 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     file, whole = load_plan(small(scenario + goal, tmp_path))
     ranges = change_scenario(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
-    assert made.reference_evaluation is not None
-    assert made.layout.qualities["targets"] < 0.7 * made.reference_evaluation.qualities["targets"]
-    assert made.layout.expected_criteria is None
+    assert made.scenario_layout_evaluation is not None
+    assert made.layout.qualities["targets"] < 0.7 * made.scenario_layout_evaluation.qualities["targets"]
+    assert made.layout.expected_disagreement is None
     content = Plan.from_network(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
     with pytest.raises(InputError, match="but the plan requires only 2 to see it"):
@@ -135,8 +135,8 @@ def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_
     assert all(row["sees"] == "yes" for row in table(tmp_path / "out" / "visibility.csv"))
     scenario = load_scenario(tmp_path / "out" / "scenario.toml")
     assert make_visibility(scenario).is_visible.all()
-    again = LayoutInformation.from_survey(planned_survey(scenario))
-    assert again.instrument_sigmas == pytest.approx(plan.layout.information.instrument_sigmas, rel=2e-3)
+    again = ExpectedPrecision.from_survey(planned_survey(scenario))
+    assert again.instrument_sigmas == pytest.approx(plan.layout.expected_precision.instrument_sigmas, rel=2e-3)
 
 
 def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: PlannedNetwork) -> None:
@@ -158,8 +158,8 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     (tmp_path / "with.toml").write_text(_with_cabinet(base), encoding="utf-8")
     text = 'scenario = "with.toml"\n[stations]\ncount = 3\n'
     made = make_plan(*load_plan(small(text, tmp_path)))
-    assert made.reference_evaluation is not None
-    assert not made.reference_evaluation.survey.is_visible.all()
+    assert made.scenario_layout_evaluation is not None
+    assert not made.scenario_layout_evaluation.survey.is_visible.all()
     broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
     assert any(re.search(broken, sentence) for sentence in Plan.from_network(made).reasons)
     assert made.layout.survey.is_visible.all()
@@ -210,18 +210,18 @@ def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(multistart_search, "MIN_REPORT_INTERVAL", 0.0)
     kept: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_layout=kept.append))
+    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_better_layout=kept.append))
     assert kept
     assert kept[-1].target_names == made.layout.survey.target_names
     assert made.search_space.is_allowed(kept[-1].station_positions).all()
 
 
 def test_built_in_plans_load_and_print() -> None:
-    assert plan_names()[0] == "paper-workshop"
+    assert builtin_plan_names()[0] == "paper-workshop"
     made, scenario = load_plan("paper-workshop")
     assert made.stations.count == 5
     assert len(scenario.targets) == 24
-    assert "height_mm" in plan_text("paper-workshop")
+    assert "height_mm" in builtin_plan_text("paper-workshop")
     assert load_plan("paper-laboratory")[0] == PlanFile(scenario="paper-laboratory")
 
 
@@ -274,7 +274,7 @@ def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: py
     assert (tmp_path / "out" / "floor.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))["seed"] == 3
     assert run(["plan", "paper-workshop", "--show"]) == 0
-    assert capsys.readouterr().out == plan_text("paper-workshop")
+    assert capsys.readouterr().out == builtin_plan_text("paper-workshop")
 
 
 @pytest.mark.parametrize("arguments", [["plan"], ["plan", "nothing"], ["plan", "paper-workshop", "--between", "a,b"]])

@@ -13,7 +13,7 @@ from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.multistart_search import PlanningProblem, SearchTask
 from ltsim.planning.objective import (
@@ -42,7 +42,7 @@ def site(stations: int = 3, **changes: object) -> SearchSpace:
         (StandingArea(FLOOR, (1.5, 2.1)),),
         SightLimits(),
         is_aimed_nest=np.zeros(28, dtype=bool),
-        min_sights=stations,
+        min_sights_per_target=stations,
     )
     return whole.replace(**changes)
 
@@ -51,9 +51,9 @@ def searcher(where: SearchSpace, objective: LayoutObjective | None = None) -> La
     return LayoutSearcher(where, objective or LayoutObjective(), grid_step=1.25, n_yaws=4, n_heights=1)
 
 
-def information(where: SearchSpace, position: Floats, yaw: Floats) -> LayoutInformation:
+def information(where: SearchSpace, position: Floats, yaw: Floats) -> ExpectedPrecision:
     visible = where.is_visible(position)
-    return LayoutInformation.from_survey(
+    return ExpectedPrecision.from_survey(
         where.survey.replace(station_positions=position, station_yaws=yaw, is_visible=visible)
     )
 
@@ -64,7 +64,7 @@ def found():  # type: ignore[no-untyped-def]
 
 
 def test_the_value_is_that_of_the_layout_it_returns(found) -> None:  # type: ignore[no-untyped-def]
-    covariance = information(site(), found.positions, found.yaws).scaled_covariance
+    covariance = information(site(), found.positions, found.yaws).covariance_in_prior_sigmas
     assert found.objective_value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
 
 
@@ -80,9 +80,11 @@ def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) ->
 
 def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: ignore[no-untyped-def]
     work = searcher(site())
-    here = work.layout_blocks(found.positions, found.yaws)
+    here = work.normal_blocks_of_layout(found.positions, found.yaws)
     for slot in range(3):
-        assert work.best_replacement(here, slot, work.grid_setup_blocks(slot))[1] > found.objective_value * (1 - 1e-3)
+        assert work.best_replacement(here, slot, work.normal_blocks_of_grid(slot))[1] > found.objective_value * (
+            1 - 1e-3
+        )
 
 
 def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[no-untyped-def]
@@ -191,7 +193,7 @@ def test_all_targets_that_no_place_sees_are_named() -> None:
 
 
 def test_least_stations_a_target_lets_single_sights_go() -> None:
-    where = site(4, min_sights=2, sight_limits=SightLimits(range_max=5.5))
+    where = site(4, min_sights_per_target=2, sight_limits=SightLimits(range_max=5.5))
     made = searcher(where).search_from(0, 1)
     visible = where.is_visible(made.positions)
     assert not visible.all()
@@ -233,7 +235,7 @@ def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
         where, LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0, TARGETS_QUALITY_NAME: 1.0}, "A")
     ).search_from(2, 1)
     slow = information(where, mixed.positions, mixed.yaws)
-    mean = np.sqrt(float(a_criterion(slow.scaled_covariance)) * slow.target_rms)
+    mean = np.sqrt(float(a_criterion(slow.covariance_in_prior_sigmas)) * slow.target_rms)
     assert mixed.objective_value == pytest.approx(mean, rel=1e-8)
 
 
@@ -245,8 +247,8 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
     where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     stays = np.arange(28) >= 24
     made = choose_reflectors(where, where.survey, stays, LayoutObjective(), misalignment_construction())
-    before = d_criterion(LayoutInformation.from_survey(where.survey).scaled_covariance)
-    after = d_criterion(LayoutInformation.from_survey(made).scaled_covariance)
+    before = d_criterion(ExpectedPrecision.from_survey(where.survey).covariance_in_prior_sigmas)
+    after = d_criterion(ExpectedPrecision.from_survey(made).covariance_in_prior_sigmas)
     assert after < 0.97 * before
     assert len(made.target_names) == len(set(made.target_names)) == 28
     assert made.target_points[:4] == pytest.approx(where.survey.target_points[24:])

@@ -20,7 +20,7 @@ from tests.planning.test_search import site
 
 def short_sighted(least: int) -> SearchSpace:
     """Three stations whose instrument reaches 5 m: no place sees the whole mesh."""
-    return site(sight_limits=SightLimits(range_max=5.0), min_sights=least)
+    return site(sight_limits=SightLimits(range_max=5.0), min_sights_per_target=least)
 
 
 def test_what_can_be_had_is_had() -> None:

@@ -70,7 +70,7 @@ def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: P
 def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys) -> None:
     assert run(["plan", str(made), "--without", "S2"]) == 0
     lost, *places, follows = capsys.readouterr().out.strip().splitlines()
-    assert follows.startswith("To take the best of these positions: ltsim plan")
+    assert follows.startswith("To plan with the best of these positions: ltsim plan")
     assert lost.startswith(("- without S2: Not reached", "- without S2: Reached"))
     assert 1 <= len(places) <= 4
     assert all(line.startswith("- S2 at (") for line in places)

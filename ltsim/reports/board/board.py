@@ -15,11 +15,22 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.planner import layout_visibility
-from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, load_plan_and_scenario, with_cad_file_copies, with_layout
+from ltsim.planning.result import (
+    PLAN_FILE_NAME,
+    SCENARIO_FILE_NAME,
+    load_plan_and_scenario,
+    scenario_with_layout,
+    with_cad_file_copies,
+)
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.search_space import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
+from ltsim.planning.search_space import (
+    MAX_COINCIDENCE_DISTANCE,
+    MIN_VISIBLE_TARGETS_PER_STATION,
+    SearchSpace,
+    broken_rules_text,
+)
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -124,7 +135,9 @@ class MovableLayout:
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
         return (
-            places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS] if len(places) else places
+            places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION]
+            if len(places)
+            else places
         )
 
     def survey_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
@@ -164,7 +177,8 @@ class MovableLayout:
         """Search space of the plan for a survey with any number of stations."""
         min_stations = self.plan_file.stations.min_stations_per_target
         return self.search_space.replace(
-            survey=survey, min_sights=len(survey.station_positions) if min_stations == "all" else min_stations
+            survey=survey,
+            min_sights_per_target=len(survey.station_positions) if min_stations == "all" else min_stations,
         )
 
     def evaluation_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -190,7 +204,7 @@ class MovableLayout:
         }
         visible = np.asarray(survey.is_visible.any(axis=0))
         try:
-            information = LayoutInformation.from_survey(survey.with_targets_only(visible), self.construction)
+            information = ExpectedPrecision.from_survey(survey.with_targets_only(visible), self.construction)
             covariance = information.target_covariance
         except LtsimError as problem:
             return evaluation | {"problem": f"{problem}"}
@@ -219,7 +233,7 @@ class MovableLayout:
 
     def scenario_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """Scenario with the given stations."""
-        return with_layout(self.scenario, self.survey_with_stations(stations))
+        return scenario_with_layout(self.scenario, self.survey_with_stations(stations))
 
     def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
         """HTML page of the hall in 3D with the given stations, seen from `camera` if it is given."""
@@ -232,10 +246,10 @@ class MovableLayout:
         for key in ("workshop", "instrument", "smr", "work"):
             plan.pop(key, None)
         names = list(scenario.stations)
-        plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE}
+        plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE_NAME}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed_stations": names}
         scenario, cad_files = with_cad_file_copies(scenario)
-        texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
+        texts = {SCENARIO_FILE_NAME: scenario_to_toml(scenario), PLAN_FILE_NAME: to_toml(plan)}
         write_texts(folder, {**cad_files, **texts})
         return [folder / name for name in texts]
 

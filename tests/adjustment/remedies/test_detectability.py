@@ -23,10 +23,10 @@ from ltsim.physics.effects.range_step import RangeStep
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.transit_offset import TransitOffset
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from tests.planning.fixtures import survey
 
-INFORMATION = LayoutInformation.from_survey(survey())
+INFORMATION = ExpectedPrecision.from_survey(survey())
 SPACE = ResidualSpace.from_adjustment(INFORMATION.adjustment)
 
 SINGLE = level_of_single_test(len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS) + 1, GLOBAL_TEST_LEVEL)
@@ -96,7 +96,7 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     others = misalignment_construction(
         e for e in ORDINARY_CALIBRATION_EFFECTS if not isinstance(e, ElevationEccentricity)
     )
-    space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(survey(), others).adjustment)
+    space = ResidualSpace.from_adjustment(ExpectedPrecision.from_survey(survey(), others).adjustment)
     first, second = (
         detectability_of_variants(space, [HeadSag()]),
         detectability_of_variants(space, [ElevationEccentricity()]),

@@ -15,7 +15,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.tolerances import check_tolerances
@@ -46,7 +46,7 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     assert survey.station_positions[1, 0] == pytest.approx(
         board.search_space.survey.station_positions[1, 0] + 0.5, abs=1e-4
     )
-    information = LayoutInformation.from_survey(survey, board.construction)
+    information = ExpectedPrecision.from_survey(survey, board.construction)
     assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_point_errors)
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
     assert (np.array(found["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
@@ -134,7 +134,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     assert len(scenario.targets) == 30
     made = lt.plan(tmp_path / "moved").network
     assert made.layout.survey.station_positions[0] == pytest.approx([2.0, 2.0, stations[0]["position_mm"][2] / 1000])
-    assert made.layout.information.target_rms == pytest.approx(1e-6 * wanted["rms_um"])
+    assert made.layout.expected_precision.target_rms == pytest.approx(1e-6 * wanted["rms_um"])
     assert made.tolerance_check is not None
     recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
     assert len(recording.stations) == 3

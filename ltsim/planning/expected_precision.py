@@ -1,12 +1,13 @@
 """Expected precision of a layout before measurement: standard deviations, undetermined parameters, criteria.
 
-The least-squares problem of the calibration is linearised at the nominal state, a perfect instrument at the planned
-positions. The covariance does not depend on readings.
+The least-squares problem of the calibration is linearised for a perfect instrument at the planned positions. Its
+covariance matrix does not depend on readings.
 
-The deviations between stations, from which the criteria of Sensors 2021, 21, 7479 (eq. 11 and 12) are computed, are
-linear in the errors: noise, reference lengths, instrument parameters and unmodelled effects. A matrix describes the
-influence of each error on them before and after a network calibration. Variances add over groups of errors, so that one
-matrix gives the results for any sizes of these groups.
+Two criteria of Sensors 2021, 21, 7479 (eq. 11 and 12) measure how much the stations disagree in distances and in
+coordinates of targets. The disagreements are linear in the errors: noise, reference lengths, instrument parameters and
+unmodelled effects. One matrix describes the influence of each error on them before a network calibration, a second
+matrix the influence after it. The variances of groups of errors add, so that these two matrices give the criteria for
+any sizes of the groups.
 """
 
 from __future__ import annotations
@@ -36,21 +37,21 @@ from ltsim.planning.survey import PlannedSurvey
 
 
 @dataclass(frozen=True)
-class LayoutInformation:
+class ExpectedPrecision:
     """Expected precision of a planned survey with S stations and T targets, for p instrument parameters."""
 
     survey: PlannedSurvey
     """Planned survey to which the precision refers."""
     adjustment: Adjustment
-    """Adjustment at the nominal state, whose covariance is the expected one."""
+    """Least-squares adjustment, linearised for a perfect instrument at the planned positions; its covariance is the
+    expected one."""
 
     @classmethod
-    def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> LayoutInformation:
+    def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> ExpectedPrecision:
         """Expected precision of a survey whose calibration estimates the parameters of `construction`.
 
-        The default is the error model with the 16 misalignment parameters.
-
-        Raises NetworkError for undetermined poses or targets.
+        `construction` is the geometric error model of the instrument, by default the model with 16 misalignment
+        parameters. Raises NetworkError for undetermined poses or targets.
         """
         built = construction or misalignment_construction()
         if not survey.is_visible.size:
@@ -79,10 +80,10 @@ class LayoutInformation:
         return self.adjustment.first_instrument_covariance
 
     @property
-    def scaled_covariance(self) -> Floats:
+    def covariance_in_prior_sigmas(self) -> Floats:
         """Expected covariance matrix (p, p) of the p instrument parameters, each in units of its prior sigma.
 
-        Without readings it is the identity matrix.
+        A survey without readings has the identity matrix.
         """
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
@@ -100,7 +101,7 @@ class LayoutInformation:
         return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
     def measurements_for_undetermined(self) -> list[MeasurementForCombination]:
-        """Proposal, for each undetermined combination, of a measurement that would determine it."""
+        """Proposed measurement for each undetermined combination of parameters, which would determine it."""
         return measurements_for_undetermined(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
@@ -112,7 +113,7 @@ class LayoutInformation:
     def pose_covariance(self) -> Floats:
         """Covariance matrix (S, 6, 6) of the translation [m] and rotation [rad] of each of the S stations.
 
-        The datum is the mean of all targets (inner constraints).
+        The uncertainty of the air is included. The datum is the mean of all targets (inner constraints).
         """
         return self._inner_datum_adjustment.pose_covariance + covariance_due_to_air(
             self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.pose_columns
@@ -144,81 +145,86 @@ class LayoutInformation:
         return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_point_errors**2)))
 
 
-ERROR_GROUP_BY_PRIOR_KIND = {
+ERROR_GROUP_BY_SPECIFIED_QUANTITY = {
     None: "instrument",
     "angle": "angle errors",
     "offset": "offset errors",
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-"""Name of the group of errors of an instrument parameter, by the kind of its prior; None stands for all other kinds."""
-RANGE_NOISE_GROUP = "range noise"
-"""Name of the group of errors with the noise of ranges."""
-ANGLE_NOISE_GROUP = "angle noise"
-"""Name of the group of errors with the noise of angles."""
-REFERENCE_LENGTHS_GROUP = "gauge lengths"
-"""Name of the group of errors with the reference lengths of the gauge."""
-REFLECTORS_GROUP = "reflectors"
-"""Name of the group of errors with the parameters of reflectors."""
+"""Name of the error group of an instrument parameter, by the data-sheet quantity that defines its prior; None stands
+for a parameter without such a quantity."""
+RANGE_NOISE_GROUP_NAME = "range noise"
+"""Name of the error group that holds the noise of ranges."""
+ANGLE_NOISE_GROUP_NAME = "angle noise"
+"""Name of the error group that holds the noise of azimuths and elevations."""
+REFERENCE_LENGTHS_GROUP_NAME = "gauge lengths"
+"""Name of the error group that holds the errors of the reference lengths of the gauge (reflectors at known distances).
+"""
+REFLECTORS_GROUP_NAME = "reflectors"
+"""Name of the error group that holds the errors of reflectors, which depend on the angle of incidence."""
 
 
 @dataclass(frozen=True)
-class ExpectedCriteria:
+class ExpectedDisagreement:
     """Expected mean disagreement of the stations in distances and coordinates [m], before and after calibration.
 
     These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12. Each field has the shape (k,), for k assumptions on
     the sizes of the errors.
     """
 
-    distance_criterion_before: Floats
-    distance_criterion_after: Floats
-    coordinate_criterion_before: Floats
-    coordinate_criterion_after: Floats
+    distance_disagreement_before: Floats
+    """Expected disagreement (k,) [m] in the distances between targets before calibration."""
+    distance_disagreement_after: Floats
+    """Expected disagreement (k,) [m] in the distances between targets after calibration."""
+    coordinate_disagreement_before: Floats
+    """Expected disagreement (k,) [m] in the coordinates of targets before calibration."""
+    coordinate_disagreement_after: Floats
+    """Expected disagreement (k,) [m] in the coordinates of targets after calibration."""
 
     @property
     def distance_improvement(self) -> Floats:
-        """Relative reduction (k,) [%] of the disagreement in distances by calibration, for k assumptions on errors."""
-        return 100.0 * (1.0 - self.distance_criterion_after / self.distance_criterion_before)
+        """Relative reduction (k,) [%] of the disagreement in distances by calibration, for k sets of error sizes."""
+        return 100.0 * (1.0 - self.distance_disagreement_after / self.distance_disagreement_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
-        """Relative reduction (k,) [%] of the disagreement in coordinates by calibration, for k assumptions."""
-        return 100.0 * (1.0 - self.coordinate_criterion_after / self.coordinate_criterion_before)
+        """Relative reduction (k,) [%] of the disagreement in coordinates by calibration, for k sets of error sizes."""
+        return 100.0 * (1.0 - self.coordinate_disagreement_after / self.coordinate_disagreement_before)
 
 
 @dataclass(frozen=True)
-class CriteriaPredictor:
-    """Predictor of the expected criteria of a layout from the contribution of each of G groups of errors.
+class DisagreementPredictor:
+    """Predictor of the disagreement of stations in a layout, from the variance that each group of errors contributes.
 
-    The contributions are those of errors of nominal size; variances of different groups add.
+    A group is, for example, the noise of ranges; their number is G. The variances refer to errors of nominal size (one
+    sigma) and add.
     """
 
     error_groups: tuple[str, ...]
-    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects by name.
-    """
+    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects."""
     distance_variances: Floats
-    """Variance by each of G groups of errors of the deviation of a measured distance from its mean over stations, (2,
-    G, D) [m^2]. The first index is 0 before and 1 after calibration, the last one runs over the D combinations of a
-    station and a pair of targets."""
+    """Variance by each of G groups of errors of a measured distance minus its mean over stations, (2, G, D) [m^2]. The
+    first index is 0 before and 1 after calibration; D counts the combinations of a station and a pair of targets."""
     coordinate_covariances: Floats
     """Covariance by each of G groups of errors of the difference between the positions of a target from two stations,
-    (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration, the third one runs over the C
-    combinations of a pair of stations and a target."""
+    (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration; C is the number of combinations of a
+    pair of stations and a target."""
 
     @classmethod
-    def from_information(
-        cls, layout_information: LayoutInformation, unmodelled_effects: Sequence[Effect] = ()
-    ) -> CriteriaPredictor:
-        """Predictor for a layout in which all stations see all targets.
+    def from_expected_precision(
+        cls, expected_precision: ExpectedPrecision, unmodelled_effects: Sequence[Effect] = ()
+    ) -> DisagreementPredictor:
+        """Predictor for a layout in which all stations see all targets, from its expected precision.
 
-        The effects in `unmodelled_effects` act on the readings but are not estimated; each is a separate group of
-        errors, with the size of its prior sigma.
+        The effects in `unmodelled_effects` act on the readings but are not estimated. Each is a separate group of
+        errors, whose nominal size is the prior sigma of the effect.
         """
-        ways, group = _unit_error_displacements(layout_information, unmodelled_effects)
+        ways, group = _unit_error_displacements(expected_precision, unmodelled_effects)
         names = tuple(dict.fromkeys(group))
         lengths, gaps = (
-            _distance_deviation_matrix(layout_information),
-            _coordinate_difference_matrix(layout_information),
+            _distance_deviation_matrix(expected_precision),
+            _coordinate_difference_matrix(expected_precision),
         )
         distance = np.empty((2, len(names), len(lengths)))
         coordinate = np.empty((2, len(names), len(gaps), 3, 3))
@@ -231,11 +237,11 @@ class CriteriaPredictor:
                 coordinate[i, g] = across[:, :, at] @ np.swapaxes(across[:, :, at], 1, 2)
         return cls(names, distance, coordinate)
 
-    def expected_criteria(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
-        """Expected criteria for k assumptions on the sizes of the errors.
+    def expected_disagreement(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedDisagreement:
+        """Expected disagreement of the stations for k sets of error sizes.
 
-        `group_sizes` has, by name of the group of errors, factors (k,) by which its nominal size is multiplied; a group
-        without factors has its nominal size.
+        `group_sizes` holds, by name of the error group, factors (k,) on the nominal size of its errors; the default is
+        1.
         """
         wanted = dict(group_sizes or {})
         for name in wanted:
@@ -249,31 +255,31 @@ class CriteriaPredictor:
             np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance_variances
         ]
         coordinate = [_mean_expected_vector_length(square, spread) for spread in self.coordinate_covariances]
-        return ExpectedCriteria(distance[0], distance[1], coordinate[0], coordinate[1])
+        return ExpectedDisagreement(distance[0], distance[1], coordinate[0], coordinate[1])
 
 
-def _mean_expected_vector_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
+def _mean_expected_vector_length(variance_factors: Floats, group_covariances: Floats) -> Floats:
     """Mean (k,) of the expected lengths of C normally distributed vectors, for k sets of variance factors.
 
-    The covariance of a vector is a sum over G groups of errors: `row_matrices` (C, G, 3, 3) hold the covariance by each
-    group at its nominal size, `variances_by_set` (k, G) the factors of these covariances.
+    The covariance of a vector is a sum over G groups of errors. `group_covariances` (G, C, 3, 3) holds the covariance
+    by each group at nominal size, `variance_factors` (k, G) the factors on these covariances.
     """
     means = [
-        expected_vector_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(
+        expected_vector_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, group_covariances, axes=1)))).mean(
             axis=1
         )
-        for part in np.array_split(row_matrices, max(1, len(row_matrices) // 64))
+        for part in np.array_split(variance_factors, max(1, len(variance_factors) // 64))
     ]
     return np.concatenate(means)
 
 
 def expected_vector_length(variances: Floats, n_nodes: int = 48) -> Floats:
-    """Expected length (...) of normally distributed vectors with variances (..., 3) along their axes, to about 1e-6.
+    """Expected length (...) of normally distributed vectors with variances (..., 3) along their principal axes.
 
-    With q the squared length of a vector, E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, in
-    which E exp(-t q) is the product over the axes of (1 + 2 t variance)^(-1/2). The variable t is replaced by (x / (1 -
-    x))^2 divided by the total variance, and the integral over x is computed by Gauss-Legendre quadrature with `n_nodes`
-    nodes.
+    The accuracy is about 1e-6. With q the squared length of a vector, E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E
+    exp(-t q)) t^(-3/2) dt over t > 0. E exp(-t q) is the product over the axes of (1 + 2 t variance)^(-1/2). The
+    substitution t = (x / (1 - x))^2 / (total variance) maps t to x between 0 and 1; the integral over x is computed by
+    Gauss-Legendre quadrature with `n_nodes` nodes.
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     variance_fractions = np.maximum(variances, 0.0) / total_variance
@@ -288,24 +294,24 @@ def expected_vector_length(variances: Floats, n_nodes: int = 48) -> Floats:
 
 
 def _unit_error_displacements(
-    layout_information: LayoutInformation, unmodelled_effects: Sequence[Effect]
+    expected_precision: ExpectedPrecision, unmodelled_effects: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacements of measured points by an error of one sigma of each of e error sources, and group of each source.
 
     The displacements are two matrices (3 S T, e) [m], before and after calibration, for T targets measured from each of
-    S stations. The groups (e names) are noise, gauge lengths, kinds of parameters, and unmodelled effects.
+    S stations. The groups are e names: noise, gauge lengths, kinds of parameters, unmodelled effects.
     """
-    adjustment, construction = layout_information.adjustment, layout_information.construction
+    adjustment, construction = expected_precision.adjustment, expected_precision.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
     count, lengths, params = (
         int(problem.is_used_reading.sum()),
         len(problem.gauge_rows),
-        len(layout_information.prior_sigma),
+        len(expected_precision.prior_sigma),
     )
     n_extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
-    averaging_matrix = _averaging_matrix(layout_information)
+    averaging_matrix = _averaging_matrix(expected_precision)
     _, by_reading, by_value = construction.linearise(sightings.ideal_raw_readings, np.zeros(construction.n_parameters))
     noise = (
         np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
@@ -328,35 +334,37 @@ def _unit_error_displacements(
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
     first_response[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
-        layout_information.prior_sigma, problem.effect_prior_sigmas
+        expected_precision.prior_sigma, problem.effect_prior_sigmas
     )
     first_response[:, len(columns_used) :] = noise[:, is_used] @ errors[:count]
     second_response = first_response.copy()
     second_response[:, count + lengths : len(columns_used)] = 0.0
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
     labels = (
-        np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [REFERENCE_LENGTHS_GROUP] * lengths
+        np.where(is_used % 3 == 0, RANGE_NOISE_GROUP_NAME, ANGLE_NOISE_GROUP_NAME).tolist()
+        + [REFERENCE_LENGTHS_GROUP_NAME] * lengths
     )
-    labels += [ERROR_GROUP_BY_PRIOR_KIND[p.specified_quantity] for p in construction.parameters]
-    labels += [REFLECTORS_GROUP] * n_extra
+    labels += [ERROR_GROUP_BY_SPECIFIED_QUANTITY[p.specified_quantity] for p in construction.parameters]
+    labels += [REFLECTORS_GROUP_NAME] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 
 
-def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (S T, n) that averages n pointings over faces and repeats, for each pair of S stations and T targets."""
-    recording = layout_information.adjustment.recording
+def _averaging_matrix(expected_precision: ExpectedPrecision) -> Floats:
+    """Matrix (S T, n) that averages n pointings over faces and rounds, for each pair of S stations and T targets."""
+    recording = expected_precision.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
     averaging_matrix[place, np.arange(len(recording))] = 1.0
     return averaging_matrix / averaging_matrix.sum(axis=1, keepdims=True)
 
 
-def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (D, 3 S T) from displacements of T points measured from S stations to deviations of distances.
+def _distance_deviation_matrix(expected_precision: ExpectedPrecision) -> Floats:
+    """Matrix (D, 3 S T) from displacements of T points measured from S stations to deviations of D distances.
 
-    The deviations are those of D distances, one for each station and pair of targets, from their means over stations.
+    There is one distance for each station and pair of targets; its deviation is the difference from the mean over
+    stations.
     """
-    state = layout_information.adjustment.state
+    state = expected_precision.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
     gap = state.target_points[first] - state.target_points[second]
@@ -371,13 +379,13 @@ def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
     return deviation.reshape(stations * len(first), -1)
 
 
-def _coordinate_difference_matrix(layout_information: LayoutInformation) -> Floats:
+def _coordinate_difference_matrix(expected_precision: ExpectedPrecision) -> Floats:
     """Matrix (C, 3, 3 S T) from displacements of T points measured from S stations to coordinate differences.
 
-    The differences are those between the positions of a target from two stations, for the C combinations of a pair of
-    stations and a target. The stations are aligned rigidly first.
+    A difference is that between the positions of a target from two stations, which are first aligned by a rigid motion.
+    C is the number of combinations of a pair of stations and a target.
     """
-    state = layout_information.adjustment.state
+    state = expected_precision.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
     non_rigid_projector = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
