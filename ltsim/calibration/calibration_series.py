@@ -79,7 +79,7 @@ class ChangeEntry(ChiSquareEntry):
 
 
 @dataclass(frozen=True)
-class ParameterPopulation(ValueEquality):
+class ParameterDistribution(ValueEquality):
     """Distribution of an instrument's parameters over its calibrations: mean and standard deviation."""
 
     mean: Floats
@@ -133,7 +133,7 @@ class CalibrationSeries(ValueEquality):
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option_text('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
         calibrations = _with_common_parameters(
-            [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
+            [instrument_calibration(calibration, instrument, label) for label, calibration in labelled_calibrations]
         )
         for (label, _), calibration in zip(labelled_calibrations, calibrations, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
@@ -274,7 +274,7 @@ class CalibrationSeries(ValueEquality):
         return contrasts.ravel(), spread.reshape(contrasts.size, contrasts.size)
 
     @cached_property
-    def population(self) -> ParameterPopulation:
+    def population(self) -> ParameterDistribution:
         """Mean of the parameters over the calibrations, and their standard deviation between calibrations.
 
         The standard deviation is estimated by restricted maximum likelihood (Patterson and Thompson, Biometrika 58
@@ -303,7 +303,7 @@ class CalibrationSeries(ValueEquality):
         is_silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
         mean, variance = np.where(is_silent, 0.0, mean), np.where(is_silent, 1.0, variance)
         unit = self.prior_sigma
-        return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
+        return ParameterDistribution(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
     def with_population_prior(self, calibration: Calibration) -> Calibration:
         """Copy of a calibration in which the distribution of this series replaces the prior from the specification.
@@ -313,7 +313,7 @@ class CalibrationSeries(ValueEquality):
         value from its own readings.
         """
         population, unit = self.population, self.prior_sigma
-        input_calibration = single_instrument(calibration, None, "the calibration")
+        input_calibration = instrument_calibration(calibration, None, "the calibration")
         spread = population.between_calibration_sigma / unit
         likelihood = likelihood_information(
             input_calibration.estimates[0],
@@ -331,7 +331,7 @@ class CalibrationSeries(ValueEquality):
         )
 
 
-def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+def instrument_calibration(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
     """Calibration of one instrument, without the adjusted network.
 
     Raises

@@ -87,7 +87,7 @@ def calibrate_distance(
     corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
     adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
-    propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
+    propagation = DistanceErrorPropagation(recording, model, parameter_values, estimate, adjustment)
     added_covariance = propagation.network_covariance_from_parameter_errors()
     unknowns = adjustment.problem.unknowns
     pose = adjustment.pose_covariance
@@ -126,7 +126,7 @@ def calibrate_distance(
     )
 
 
-def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
+def _fit_entry(propagation: DistanceErrorPropagation) -> FitEntry:
     """Fit of the network that was adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.distance_estimate
     mean, variance = propagation.chi2_moments()
@@ -171,7 +171,7 @@ def _undetermined_entries(
 
 
 @dataclass(frozen=True)
-class ErrorPropagation:
+class DistanceErrorPropagation:
     """Propagation of the error of estimated parameters through the adjustment of the corrected readings.
 
     Let e be the whitened noise of the readings and the gauge, A the matrix of the adjustment, D its design matrix, B

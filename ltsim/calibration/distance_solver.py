@@ -45,10 +45,10 @@ class DistanceComparisons:
     """Coefficient of each distance in each comparison, shape (comparisons, distances)."""
     residuals: Floats
     """Value of each comparison, shape (comparisons,) [m]; zero if the distances agree."""
-    unknown_derivatives: Floats
+    derivatives_by_unknowns: Floats
     """Derivative of each comparison with respect to each unknown in prior standard deviations, (comparisons, unknowns)
     [m]."""
-    noise_derivatives: sp.csr_array
+    derivatives_by_noise: sp.csr_array
     """Derivative of each comparison with respect to each whitened reading and gauge length, shape (comparisons, 3
     pointings + gauge lengths) [m]."""
 
@@ -144,7 +144,7 @@ def solve_determined_combinations(
         iterations += 1
         deviation_rows = distance_comparisons_at(problem, unknowns, norm)
         step = estimated @ _unbounded_step(
-            deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
+            deviation_rows.derivatives_by_unknowns @ estimated, deviation_rows.residuals, norm
         )
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
@@ -200,7 +200,7 @@ def _start_values(
 
 def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unknown: Bools) -> None:
     """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
-    if not np.any(comparisons.unknown_derivatives[:, is_free_unknown]):
+    if not np.any(comparisons.derivatives_by_unknowns[:, is_free_unknown]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
@@ -224,7 +224,7 @@ def _make_estimate(
         covariance + prior.T @ prior,
         noise,
         undetermined,
-        objective_of(comparisons, norm),
+        distance_objective(comparisons, norm),
         n_iterations,
         is_converged,
     )
@@ -237,7 +237,7 @@ def distance_comparisons_at(problem: DistanceProblem, unknowns: Floats, norm: Ob
     return comparisons_of(problem, distances)
 
 
-def objective_of(comparisons: DistanceComparisons, norm: ObjectiveNorm) -> float:
+def distance_objective(comparisons: DistanceComparisons, norm: ObjectiveNorm) -> float:
     """Objective of Sensors 2021, 21, 7479, eq. 9: sum of squares [m^2] or of absolute values [m] of residuals."""
     return float(np.sum(comparisons.residuals**2) if norm == "squares" else np.sum(np.abs(comparisons.residuals)))
 
@@ -251,12 +251,15 @@ def determined_and_undetermined_combinations(
     fraction below `MIN_DETERMINED_GAIN`, in ascending order. Unknowns outside `is_free_unknown` take no part.
     """
     strength, eigenvectors = np.linalg.eigh(
-        comparisons.unknown_derivatives[:, is_free_unknown].T @ comparisons.unknown_derivatives[:, is_free_unknown]
+        comparisons.derivatives_by_unknowns[:, is_free_unknown].T
+        @ comparisons.derivatives_by_unknowns[:, is_free_unknown]
     )
     vectors = np.zeros((len(is_free_unknown), len(eigenvectors)))
     vectors[is_free_unknown] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    noise_response = np.asarray((comparisons.noise_derivatives.T @ (comparisons.unknown_derivatives @ vectors)).T)
+    noise_response = np.asarray(
+        (comparisons.derivatives_by_noise.T @ (comparisons.derivatives_by_unknowns @ vectors)).T
+    )
     variance = np.full(len(strength), np.inf)
     variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
@@ -270,7 +273,9 @@ def _split_observable_combinations(comparisons: DistanceComparisons, is_free_unk
 
     Both have the shape (unknowns, combinations). Only unknowns in the mask `is_free_unknown` take part.
     """
-    _, strength, right_vectors = np.linalg.svd(comparisons.unknown_derivatives[:, is_free_unknown], full_matrices=False)
+    _, strength, right_vectors = np.linalg.svd(
+        comparisons.derivatives_by_unknowns[:, is_free_unknown], full_matrices=False
+    )
     vectors = np.zeros((len(is_free_unknown), len(right_vectors)))
     vectors[is_free_unknown] = right_vectors.T
     nonzero = strength > SQRT_MACHINE_EPSILON * strength[0]
@@ -292,7 +297,7 @@ def _bounded_step(
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
     """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
-    design = comparisons.unknown_derivatives[:, is_free_unknown]
+    design = comparisons.derivatives_by_unknowns[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]
         return visible @ _unbounded_step(design @ visible, comparisons.residuals, norm)
@@ -335,11 +340,11 @@ def _line_search(
 
     The result is the new unknowns, the comparisons at these, and the relative decrease of the objective.
     """
-    before, share = objective_of(comparisons, norm), 1.0
+    before, share = distance_objective(comparisons, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
         rows_there = distance_comparisons_at(problem, there, norm)
-        fallen = 1.0 - objective_of(rows_there, norm) / before
+        fallen = 1.0 - distance_objective(rows_there, norm) / before
         if fallen > 0.0:
             return there, rows_there, fallen
         share *= 0.5
@@ -355,19 +360,19 @@ def estimate_covariance(
     median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
     asin(correlation), to first order off the diagonal.
     """
-    design = comparisons.unknown_derivatives @ estimated_combinations
+    design = comparisons.derivatives_by_unknowns @ estimated_combinations
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
-        influence = -inverse @ np.asarray((comparisons.noise_derivatives.T @ design).T)
+        influence = -inverse @ np.asarray((comparisons.derivatives_by_noise.T @ design).T)
         noise = estimated_combinations @ influence
         return noise @ noise.T, noise
     spread = np.sqrt(
-        np.asarray(comparisons.noise_derivatives.multiply(comparisons.noise_derivatives).sum(axis=1)).ravel()
+        np.asarray(comparisons.derivatives_by_noise.multiply(comparisons.derivatives_by_noise).sum(axis=1)).ravel()
     )
     spread = np.maximum(spread, 1e-12)
     scaled_design = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
-    noise_response = np.asarray((comparisons.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    noise_response = np.asarray((comparisons.derivatives_by_noise.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T

@@ -56,7 +56,7 @@ def has_enough_steps(series: CalibrationSeries) -> bool:
     return len(series) > MIN_STEPS_FOR_TEST
 
 
-def significant_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
+def significant_parameter_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
     """Significant steps of all parameters in chronological order; empty if there are too few steps for a test.
 
     p-values are corrected for the number of steps and parameters (Bonferroni).

@@ -28,9 +28,9 @@ parameter with coefficient 1. The first such parameter in the order of the model
 rather than a harmonic of the circle."""
 RELATIVE_EFFECT_SIZES = np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
-LOG_EFFECT_SIZE_PRIOR = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
+LOG_PRIOR_OF_EFFECT_SIZES = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
 """Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
-MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL = 100
+MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL = 100
 """Largest number of array entries for which one NumPy call computes a log-sum-exp; for larger arrays several vectorised
 calls are faster."""
 _COSINE_PARAMETER_NAME = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
@@ -226,7 +226,7 @@ def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covaria
 def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
     """Logarithm of the sum of the exponentials along an axis; minus infinity for an empty axis."""
     total: Floats
-    if logarithms.size <= MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL:
+    if logarithms.size <= MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL:
         total = np.logaddexp.reduce(logarithms, axis=axis)
         return total
     top = np.nan_to_num(logarithms.max(axis=axis, keepdims=True), neginf=0.0)
@@ -236,7 +236,9 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 
 
 def score_weights_and_constants_by_size(
-    information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR
+    information_strength: Floats,
+    sizes: Floats = RELATIVE_EFFECT_SIZES,
+    log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 

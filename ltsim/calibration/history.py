@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry, ChiSquareEntry
-from ltsim.calibration.events import EventEntry, significant_steps
+from ltsim.calibration.events import EventEntry, significant_parameter_steps
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import names_text
@@ -134,7 +134,7 @@ class History(ResultFile):
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
             constancy_test=series.constancy_test(),
             changes=tuple(series.changes()),
-            events=significant_steps(series),
+            events=significant_parameter_steps(series),
             change_since_first=series.change(0, len(series) - 1),
         )
         result._series = series

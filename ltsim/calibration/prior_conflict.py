@@ -28,7 +28,7 @@ prior."""
 MAX_WIDENED_PRIOR_FRACTION = 0.25
 """Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more parameters
 contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
-CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
+CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves"
 """Noun phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
 
 
@@ -85,7 +85,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(selected_changes))
         estimate = directions @ score / np.where(informative, strength, np.inf)
         odds = np.round(
-            log_odds_of_wrong_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
+            log_odds_of_changed_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
         )
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
@@ -107,7 +107,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     scale, lengths = max(1.0, calibration.adjustment.sigma0), len(calibration.adjustment.problem.gauge_rows)
     instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)
     references = [
-        CORRECTED_INSTRUMENT_TEXT if instrument.corrected else "its declared prior of" for instrument in instruments
+        CORRECTED_INSTRUMENT_PHRASE if instrument.corrected else "its declared prior of" for instrument in instruments
     ]
     sentences = []
     for k in np.flatnonzero(freed).tolist():
@@ -122,7 +122,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     gain = np.where(calibration.is_fixed | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()
     deviation = ((calibration.estimates - prior.mean) / calibration.prior_sigma).ravel()
     w = _normalised_deviations(deviation, gain) / scale
-    odds = log_odds_of_wrong_constants(w, gain, freed.size + size * (len(freed) > 1))
+    odds = log_odds_of_changed_constants(w, gain, freed.size + size * (len(freed) > 1))
     contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not contradictions:
         return (*sentences, *_combination_sentences(calibration, prior, scale))
@@ -138,7 +138,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def log_odds_of_wrong_constants(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
+def log_odds_of_changed_constants(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
     """Log posterior odds that each constant is wrong, shape (candidates,).
 
     `normalised_changes` (candidates,) are the changes of the constants divided by their standard deviations,

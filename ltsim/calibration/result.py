@@ -33,7 +33,7 @@ from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -346,7 +346,7 @@ def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) 
     offsets = smr_radius_offsets(recording)
     if offsets is None:
         return recording
-    readings = recording.readings + exact_change_by_displacement(adjustment.sightings, -offsets)
+    readings = recording.readings + reading_change_by_displacement(adjustment.sightings, -offsets)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 

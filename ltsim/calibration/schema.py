@@ -283,14 +283,14 @@ class RecommendedCorrection(Entry):
 
 
 class FittedParameterEntry(Entry):
-    """Number or text that describes an estimated effect: parameter, shape constant, or size of an empirical law."""
+    """Number or text that describes an estimated effect: parameter, shape parameter, or size of an empirical law."""
 
     name: str
     """Name as in `ltsim effects`; for an empirical law `amplitude`, `phase` or another name as in a diagnosis."""
     value: Finite | str
-    """Value in `unit`; a text for a shape constant whose values are names."""
+    """Value in `unit`; a text for a shape parameter whose values are names."""
     sigma: Sigma = None
-    """Standard deviation of the value; null for a fixed shape constant."""
+    """Standard deviation of the value; null for a fixed shape parameter."""
     unit: str
     """Unit of value and sigma."""
 
@@ -303,13 +303,13 @@ class FittedEffectEntry(Entry):
     place_text: str = ""
     """Stations and targets at which the effect acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
-    """Parameters and shape constants of the effect."""
+    """Parameters and shape parameters of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square by the effect."""
     n_distinguishable_parameters: int
     """Number of the effect's parameters that the recording distinguishes from all other unknowns."""
     n_candidates: int
-    """Number of tested combinations of stations, targets and shape constants, from which this one was selected."""
+    """Number of tested combinations of stations, targets and shape parameters, from which this one was selected."""
 
     @property
     def p_value(self) -> float:

@@ -36,7 +36,7 @@ from ltsim.physics.effects import parameter_text
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
-PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
+CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
 """Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, above which the declared
@@ -150,7 +150,7 @@ class ScaledPrior:
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
-        self._scales = PRIOR_SCALES[0.99 * min_scale < PRIOR_SCALES]
+        self._scales = CANDIDATE_PRIOR_SCALES[0.99 * min_scale < CANDIDATE_PRIOR_SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
         gain = self._scales[:, None] ** 2 * self._information_vector**2 / ratio
         self._log_likelihoods = 0.5 * np.sum(gain - np.log(ratio), axis=1)

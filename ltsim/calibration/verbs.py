@@ -16,12 +16,12 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.correct import incidence_reading_changes
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD, calibrate_distance
-from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, load_calibration, read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
+from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.core.arguments import check_choice, check_mapping
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text
 from ltsim.physics.effects.effect import Effect
@@ -31,7 +31,7 @@ from ltsim.physics.model.construction import GeometricErrorModel, make_construct
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
-NO_PRIOR_OPTION = "none"
+NO_PRIOR_OPTION_VALUE = "none"
 """Value of the option `prior` that requests a calibration without prior information."""
 
 
@@ -118,7 +118,7 @@ def calibrate(
         built: GeometricErrorModel | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
+    has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION_VALUE
     earlier_calibration_prior = None if prior is None or has_no_prior else EarlierCalibrationPrior.from_source(prior)
     parameter_names = None if parameters is None else name_tuple(parameters)
     choice = ParameterSelection(
@@ -131,14 +131,14 @@ def calibrate(
         raise ModelError(f"{option_text('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = load_recording(recording)
     if method == "network":
-        extra_effects = [parse_requested_effect(asked, source) for asked in effects]
+        requested_effects = [parse_requested_effect(asked, source) for asked in effects]
         return with_reported_uncertainty(
             calibrate_network(
                 source,
                 built,
                 recommend_measurements=advise,
                 parameter_selection=choice,
-                extra_effects=extra_effects,
+                requested_effects=requested_effects,
                 **options,
             )
         )
@@ -187,7 +187,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             places["stations" if item in recording.stations else "targets"] += (item,)
         else:
             listed = ", ".join(recording.stations)
-            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
+            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or NAME=VALUE")
     if is_law and constants:
         raise ModelError(f"'{text}': the constants of a law belong in its text and cannot be given separately")
     if is_law:

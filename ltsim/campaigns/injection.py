@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.extra_effects import RequestedEffect
+from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats

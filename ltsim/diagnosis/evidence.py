@@ -25,7 +25,7 @@ from scipy.special import log_ndtr
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import (
-    LOG_EFFECT_SIZE_PRIOR,
+    LOG_PRIOR_OF_EFFECT_SIZES,
     RELATIVE_EFFECT_SIZES,
     log_evidence,
     log_evidence_by_size,
@@ -191,7 +191,7 @@ def coefficient_posterior(
     score: Floats,
     plausible_sizes: Floats,
     size_factors: Floats = RELATIVE_EFFECT_SIZES,
-    log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR,
+    log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 

@@ -19,7 +19,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_regressors
+from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS_IN_REGION, wave_regressors
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
@@ -208,7 +208,7 @@ def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], s
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
-    return min(counts) > MIN_EFFECTIVE_TARGETS
+    return min(counts) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 
 def _is_within_set_up(time: float, sightings: Sightings) -> bool:

@@ -14,11 +14,12 @@ class Backlash(Effect):
     station has no correction.
 
     Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
-    Like: encoder harmonics, if the targets are always measured in the same order.
+    Similar to: encoder harmonics, if the targets are always measured in the same order.
     Separate by: the same targets in the reverse order.
-    Valid: constant width; rows in the order of measurement. Cable drag that decays during the motion is not included.
+    Validity: constant width; rows in the order of measurement. Cable drag that decays during the motion is not
+    included.
     Source: general knowledge of drives; the equation is that of a mechanical play of constant width.
-    Status: validated by reversing the order of measurement, which changes the sign.
+    Validation: validated by reversing the order of measurement, which changes the sign.
     """
 
     name = "backlash"

@@ -16,11 +16,11 @@ class SmrDihedral(Effect):
     faces. The range does not change.
 
     Size: delta is 10 urad in a good reflector, 50 urad in a bad one; the angle is a few percent of that.
-    Like: detector-offset at one target, turbulence (if the reflector rotates freely about the beam).
+    Similar to: detector-offset at one target, turbulence (if the reflector rotates freely about the beam).
     Separate by: the reflector turned about the beam.
-    Valid: the marker on the reflector is always up; the fraction of delta is empirical.
+    Validity: the marker on the reflector is always up; the fraction of delta is empirical.
     Source: the knowledge base of FARO on dihedral errors of a reflector; 1.63 from a ray trace of three mirrors.
-    Status: form validated by its parity; the size is empirical.
+    Validation: form validated by its parity; the size is empirical.
     """
 
     name = "smr-dihedral"

@@ -11,11 +11,11 @@ class StationWeather(Effect):
     -0.268 ppm for each hPa by which the used pressure is too low. All ranges of that station have this scale error.
 
     Size: 0.95 ppm for an error of 1 K, 2.7 ppm for 10 hPa, 67 ppm for mmHg in place of hPa (250 hPa).
-    Like: mesh-expansion between stations (exactly), range-step at the station's start (correlation 0.965).
+    Similar to: mesh-expansion between stations (exactly), range-step at the station's start (correlation 0.965).
     Separate by: the weather values used at that station; a repeat of the first station at the end.
-    Valid: a refractive index that is constant at each station.
+    Validity: a refractive index that is constant at each station.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
-    Status: validated against the range scale on the station's pointings.
+    Validation: validated against the range scale on the station's pointings.
     """
 
     name = "station-weather"

@@ -21,10 +21,10 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
-N_MODES_DEFAULT = 9
+N_CURVE_MODES = 9
 """Number of eigenfunctions (of the Laplacian) that represent a smooth curve in a search. At the shortest of the length
 scales, the prior standard deviation of the last coefficient is a tenth to a third of that of the first coefficient."""
-N_MODES_IN_PRODUCT = 4
+N_FACTOR_CURVE_MODES = 4
 """Number of eigenfunctions (of the Laplacian) that represent a smooth curve as a factor of a product, or in a law of a
 single target."""
 N_MODES_OF_FINER_CURVE = 32
@@ -35,8 +35,8 @@ EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
 covariate's range. It is larger than 1 because a curve is not necessarily zero at the ends of the range.
 """
 LENGTH_SCALES_BY_N_MODES = {
-    N_MODES_DEFAULT: (0.9, 0.4, 0.18),
-    N_MODES_IN_PRODUCT: (0.6,),
+    N_CURVE_MODES: (0.9, 0.4, 0.18),
+    N_FACTOR_CURVE_MODES: (0.6,),
     N_MODES_OF_FINER_CURVE: (0.07,),
 }
 """Length scales of a smooth curve (of the kernel of its Gaussian process) by number of eigenfunctions, as fractions of
@@ -86,7 +86,7 @@ def scaled_to_unit_rms(column: Floats) -> Floats:
     return scaled / float(np.sqrt(np.mean(scaled**2)))
 
 
-N_HARMONICS = 5
+N_HARMONICS_OF_CYCLE = 5
 """Number of harmonics that represent a periodic function of any shape."""
 
 
@@ -123,7 +123,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve, one array per length scale.
 
     `is_circular` is True for an angle on a full circle. A last array is the prior of a random walk, unless the
-    covariate is circular or `n_modes` is `N_MODES_IN_PRODUCT`.
+    covariate is circular or `n_modes` is `N_FACTOR_CURVE_MODES`.
     """
     spreads = []
     if is_circular:
@@ -134,7 +134,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
         spreads = [
             np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]
         ]
-        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_MODES_IN_PRODUCT else []
+        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_FACTOR_CURVE_MODES else []
     return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 

@@ -13,7 +13,7 @@ ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth"
 """Covariates that are angles, whose sines, cosines and tangents a search tries."""
 SAW_TOOTH_PERIOD_FRACTIONS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
-CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
+FORMULA_CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
 
 
@@ -22,7 +22,7 @@ def formula_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: 
 
     If `is_reduced_set`, there are fewer functions, to limit the number of products with functions of other covariates.
     """
-    times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
+    times = FORMULA_CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
     circular = covariate in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if is_reduced_set else 7):

@@ -14,12 +14,13 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT, N_MODES_OF_FINER_CURVE, indicator_columns
+from ltsim.physics.laws.accumulations import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES, N_MODES_OF_FINER_CURVE, indicator_columns
 from ltsim.physics.laws.formula_regressors import formula_regressors
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
-    LAG_TIME_CONSTANTS,
-    MAX_SEPARATE_VALUES,
+    CANDIDATE_LAG_TIME_CONSTANTS,
+    MAX_SEPARATE_AMOUNTS,
     WAVE_FREQUENCY_STEP,
     contains_several_targets,
 )
@@ -33,7 +34,6 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
 )
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME, Response
-from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -41,11 +41,11 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor with the sign of the face, +1 or -1. An elevation error proportional to this sign is an error of the
 vertical index.
 """
-MAX_STEP_POSITIONS = 41
+MAX_CANDIDATE_STEP_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_CHANGED_PARTS = ("reading", "instrument", "circle", "stand")
 """Parts of the measurement (`Response.changed_part`) for which a law may have separate coefficients in each set-up."""
-MAX_SWITCH_EDGE_POSITIONS = 60
+MAX_CANDIDATE_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search lets a law turn on or off (switch)."""
 MAX_STEPS_IN_MOVED_LAW = 4
 """Largest number of steps and ramps in a law that a local search moves; a law with more of them is not moved."""
@@ -188,7 +188,7 @@ class EmpiricalLaw(CandidateEffect):
             rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
         if self._movable_regressor is not None:
-            return self._with_moved_pieces(sightings, self._movable_regressor)
+            return self._with_moved_steps(sightings, self._movable_regressor)
         if regressor.hall_region is not None:
             is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
             neighbours = [
@@ -219,7 +219,7 @@ class EmpiricalLaw(CandidateEffect):
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_STEPS_IN_MOVED_LAW]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
-    def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
+    def _with_moved_steps(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one of `steps` moved to another gap between values of the covariate, or with another lag."""
         x = np.unique(sightings.covariate_values[steps.covariates[0]][self.pointing_indicator(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
@@ -265,9 +265,9 @@ class EmpiricalLaw(CandidateEffect):
         """
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
-            n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
+            n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_FACTOR_CURVE_MODES else N_CURVE_MODES
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
-        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_VALUES and self.response.changed_part == "target":
+        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_AMOUNTS and self.response.changed_part == "target":
             per_target = regressor.with_amount_per_target(self.targets)
             forms["members"] = [replace(self, regressor=per_target, length_scale_index=0)]
         if regressor.kind == "wave":
@@ -285,7 +285,7 @@ class EmpiricalLaw(CandidateEffect):
             return []
         name = curved[0].covariates[0]
         x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_STEP_POSITIONS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_CANDIDATE_STEP_POSITIONS).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
@@ -311,7 +311,7 @@ class EmpiricalLaw(CandidateEffect):
             return []
         name = curve.covariates[0] if curve else "time"
         x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGE_POSITIONS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_CANDIDATE_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
@@ -354,7 +354,7 @@ class EmpiricalLaw(CandidateEffect):
         is_unsuitable = (
             self.regressor.kind in ("product", "amounts") or self.response.changed_part not in PER_SETUP_CHANGED_PARTS
         )
-        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_VALUES:
+        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_AMOUNTS:
             return None
         return replace(self, stations=stations, has_coefficients_per_setup=True)
 
@@ -395,4 +395,4 @@ def _candidate_lags(steps: Regressor) -> list[float]:
     """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other `steps`."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
-    return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)
+    return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(CANDIDATE_LAG_TIME_CONSTANTS)

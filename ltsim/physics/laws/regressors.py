@@ -12,11 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.laws.accumulations import accumulation_column, latch_column as latched
 from ltsim.physics.laws.columns import (
     CIRCULAR_COVARIATES,
     MEMORY_COVARIATE_PREFIXES,
-    N_HARMONICS,
-    N_MODES_DEFAULT,
+    N_CURVE_MODES,
+    N_HARMONICS_OF_CYCLE,
     first_order_lag_columns,
     fourier_columns,
     function_column,
@@ -29,7 +30,6 @@ from ltsim.physics.laws.columns import (
     smooth_curve_columns,
     smooth_curve_sigmas,
 )
-from ltsim.physics.laws.states import latch_column as latched, state_column
 from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
@@ -104,7 +104,7 @@ class Regressor:
     - `passage`: the length of the line of sight in a region of the hall. With the function `lever` each part of this
       length is weighted by the fraction of the line beyond it.
     - `near`: 1 for a target at the centre of a region, decreasing with the distance of the target.
-    - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.states`).
+    - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.accumulations`).
     - `latch`: 1 after a covariate rose above the threshold `constant`, 0 after it fell below `release_threshold`.
     """
 
@@ -172,7 +172,7 @@ class Regressor:
             case "simple":
                 return function_column(sightings, name, self.function, self.constant)
             case "state" | "latch":
-                return scaled_to_unit_rms(self._state_column(sightings, name)[:, None])
+                return scaled_to_unit_rms(self._accumulation_or_latch_column(sightings, name)[:, None])
             case "lagging":
                 return first_order_lag_columns(sightings, name, self.constant)
             case "amounts":
@@ -186,11 +186,11 @@ class Regressor:
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._product_columns(sightings, acts_on_targets)
 
-    def _state_column(self, sightings: Sightings, name: str) -> Floats:
+    def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
         """Value (n,) at each of n pointings of a regressor of the kind `state` or `latch`, minus its mean."""
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
-        return state_column(sightings, name, self.function, self.constant)
+        return accumulation_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
         """Values (n,), at n pointings, of a regressor that depends on a `region` of the hall, by its kind.
@@ -254,7 +254,7 @@ class Regressor:
             case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
-                return (np.repeat(1.0 / np.arange(1, N_HARMONICS + 1), 2) / np.sqrt(2.0),)
+                return (np.repeat(1.0 / np.arange(1, N_HARMONICS_OF_CYCLE + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)
@@ -343,10 +343,10 @@ def nearness_regressor(region: HallRegion) -> Regressor:
     return Regressor("near", tuple(region.bounded_axes), region=region)
 
 
-def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
+def accumulation_regressor(covariate: str, function: str, constant: float) -> Regressor:
     """Regressor with a state, which accumulates the changes of a covariate since the start of the set-up.
 
-    `function` is the kind of decay or reset of the state, and `constant` its constant (`laws.states`).
+    `function` is the kind of decay or reset of the state, and `constant` its constant (`laws.accumulations`).
     """
     return Regressor("state", (covariate,), function, constant)
 
@@ -375,6 +375,6 @@ def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
     return Regressor("switch", edge_regressors[0].covariates, factors=tuple(edge_regressors))
 
 
-def smooth_regressor(covariate: str, n_modes: int = N_MODES_DEFAULT) -> Regressor:
+def smooth_regressor(covariate: str, n_modes: int = N_CURVE_MODES) -> Regressor:
     """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` basis functions."""
     return Regressor("smooth", (covariate,), constant=n_modes)

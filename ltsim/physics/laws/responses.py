@@ -121,7 +121,7 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
-def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
+def instrument_constants_of_chain_error(error_key: str) -> tuple[str, ...]:
     """Names of the instrument constants of the ordinary calibration that change an error of the kinematic chain.
 
     `error_key` is the key of the error in the chain, such as `azimuth`.
@@ -134,10 +134,10 @@ def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
     )
 
 
-VARIED_CONSTANTS_BY_RESPONSE = (
-    {response.name: constant_names_of_chain_error(key) for key, response in _CHAIN_ERROR_RESPONSES.items()}
+INSTRUMENT_CONSTANTS_BY_RESPONSE = (
+    {response.name: instrument_constants_of_chain_error(key) for key, response in _CHAIN_ERROR_RESPONSES.items()}
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
-    | {"distance": constant_names_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
+    | {"distance": instrument_constants_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
 """Names of the instrument constants of the ordinary calibration that a law varies, by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
@@ -160,7 +160,7 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
     """Change (n, 3, 1) of the raw readings of n pointings per unit of a correction of one observable.
 
-    The correction refers to face 1; on face 2 the reading of an angle may change with the opposite sign.
+    The correction refers to face 1; in face 2 the reading of an angle may change with the opposite sign.
     """
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
@@ -243,7 +243,7 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
     """Responses by name, each with the change (n, 3, c) of the readings of n pointings per unit of its c coefficients.
 
     If several responses have the same change, only the first is listed. For example, errors of the vertical index and
-    of the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it
+    of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because it
     can depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}

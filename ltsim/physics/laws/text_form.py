@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, MEMORY_OPERATOR_PREFIXES
 from ltsim.physics.laws.regressors import (
@@ -100,7 +100,7 @@ UNIT_COVARIATE_BY_FUNCTION = {
 }
 """Covariate whose unit the constant in a formula has, by the function that contains the constant. The constant of any
 other function has the unit of the covariate to which the function is applied."""
-MIN_VALUE_IN_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
+MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in a unit, by unit. Smaller values have the next smaller unit, as 90 s or 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text form of a law with separate coefficients for each set-up."""
@@ -128,7 +128,7 @@ def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True
     """Value [SI] of a covariate as text with its display unit; without a clock, times count pointings."""
     units = _si_per_display_unit(covariate, has_clock)
     *larger, last = units
-    unit = next((u for u in larger if abs(value) >= MIN_VALUE_IN_DISPLAY_UNIT[u] * units[u]), last)
+    unit = next((u for u in larger if abs(value) >= MIN_VALUE_BY_DISPLAY_UNIT[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
@@ -282,7 +282,7 @@ def parse_law(
     return replace(law, direction=direction)
 
 
-def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
+def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODES) -> Regressor:
     """Regressor from its text form, the inverse of `regressor_text`; a curve has `n_modes` basis functions.
 
     Raises ModelError for a text that is not a regressor of the recording.
@@ -293,7 +293,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         return Regressor(
             "product",
             factors=(
-                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_MODES_IN_PRODUCT),
+                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_FACTOR_CURVE_MODES),
                 by_instrument,
             ),
         )
@@ -304,7 +304,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
     if len(factors) > 1:
         return Regressor(
             "product",
-            factors=tuple(parse_regressor(factor.strip(), recording, N_MODES_IN_PRODUCT) for factor in factors),
+            factors=tuple(parse_regressor(factor.strip(), recording, N_FACTOR_CURVE_MODES) for factor in factors),
         )
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])

@@ -15,7 +15,7 @@ REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "i
 """Kinds of repetition: the same error in all pointings of a station to a target in one face, or also in both faces."""
 
 
-MIN_RELATIVE_PATH = 0.05
+MIN_RELATIVE_PATH_IN_REGION = 0.05
 """Length of a line of sight within a region, divided by the longest such length, up to which the line counts as outside
 the region."""
 
@@ -139,7 +139,7 @@ class VarianceFunction(CandidateNoiseEffect):
         if self.region is not None:
             path = self.region.path_lengths(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
-            pattern = pattern * np.where(share > MIN_RELATIVE_PATH, share, 0.0)
+            pattern = pattern * np.where(share > MIN_RELATIVE_PATH_IN_REGION, share, 0.0)
         if self.covariate_band:
             pattern = pattern * self.is_in_band(sightings)
         for name in self.covariates if self.region is None and not self.covariate_band else ():

@@ -110,14 +110,18 @@ class GeometricErrorModel:
         errors: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
-            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+            errors[term.chain_error_key] = (
+                errors[term.chain_error_key] + amount if term.chain_error_key in errors else amount
+            )
         return errors
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions of p parameters."""
         errors: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
-            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+            errors[term.chain_error_key] = (
+                errors[term.chain_error_key] + amount if term.chain_error_key in errors else amount
+            )
         return errors
 
     def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
@@ -131,13 +135,13 @@ class GeometricErrorModel:
         The derivative by the readings neglects that the basis functions depend on them: a relative error of 1e-5.
         """
         (chain, reading_error_keys), bases = self._chain_with_reading_errors, self.basis_values(readings)
-        error_keys = {term.chain_error for term in self.terms} | set(reading_error_keys)
+        error_keys = {term.chain_error_key for term in self.terms} | set(reading_error_keys)
         errors = self._errors_from_basis_values(bases, values)
         p, by_error = kinematics.points_and_error_derivatives(chain, readings, errors, error_keys)
         by_reading = np.stack([by_error[key] for key in reading_error_keys], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
-        by_value = np.stack([by_error[term.chain_error] for term in self.terms], axis=2)
+        by_value = np.stack([by_error[term.chain_error_key] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
     def readings_from_points(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
@@ -247,7 +251,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
-    rows = [(key, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for key, column in joints for k in waves]
+    rows = [(key, COEFFICIENT_SUFFIXES[k], _axis_error_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
         (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_CONTRIBUTION_RANGE**-k)
         for motion in DH_ERROR_MOTIONS
@@ -265,13 +269,13 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
 
-def _joint_basis(column: int, basis_number: int) -> BasisFunction:
+def _axis_error_basis(column: int, basis_number: int) -> BasisFunction:
     """Basis function number `basis_number` of the series 1, sin x, cos x, sin 2x, ..., x the reading in `column`."""
     order = (basis_number + 1) // 2
     return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
 
-EFFECTS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
+GEOMETRIC_ERRORS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
     RangeOffset(),
     RangeScale(),
     TransitOffset(),
@@ -308,8 +312,8 @@ which is half the raw elevation.
 
 def steering_mirror_construction() -> GeometricErrorModel:
     """Geometric error model of a tracker with a beam-steering mirror, with 21 parameters."""
-    parameters = [p for effect in EFFECTS_OF_BOTH_DESIGNS for p in effect.parameters]
-    terms = [t for effect in EFFECTS_OF_BOTH_DESIGNS for t in effect.terms]
+    parameters = [p for effect in GEOMETRIC_ERRORS_OF_BOTH_DESIGNS for p in effect.parameters]
+    terms = [t for effect in GEOMETRIC_ERRORS_OF_BOTH_DESIGNS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))

@@ -125,7 +125,7 @@ def smr_radius_offsets(recording: Recording) -> Floats | None:
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
 
 
-class LatestPrediction:
+class PredictionCache:
     """Cache of the predicted readings at one network state, the last one for which they were computed."""
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class MeasurementModel:
     """Geometric error model of all instruments."""
     effects: tuple[LinearEffect, ...] = ()
     """Additional effects, whose parameters are unknowns."""
-    latest_prediction: LatestPrediction = field(default_factory=LatestPrediction, init=False, repr=False, compare=False)
+    prediction_cache: PredictionCache = field(default_factory=PredictionCache, init=False, repr=False, compare=False)
     """Cache of the readings at the state of the last call of `predict`: several tests need those at the solution."""
 
     @cached_property
@@ -201,14 +201,14 @@ class MeasurementModel:
         )
 
     @property
-    def extra_effects(self) -> tuple[LinearEffect, ...]:
+    def effects_and_nuisance_errors(self) -> tuple[LinearEffect, ...]:
         """Additional effects, followed by the nuisance errors with a prior."""
         return *self.effects, *self.nuisance_errors
 
     @property
     def n_extra_parameters(self) -> int:
         """Number q of additional parameters: parameters of `effects` and of nuisance errors."""
-        return sum(len(effect.parameters) for effect in self.extra_effects)
+        return sum(len(effect.parameters) for effect in self.effects_and_nuisance_errors)
 
     @property
     def n_effect_parameters(self) -> int:
@@ -263,13 +263,13 @@ class MeasurementModel:
 
     def extra_design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the readings of n pointings per unit of each of q additional parameters."""
-        if not self.extra_effects:
+        if not self.effects_and_nuisance_errors:
             return np.zeros((len(sightings), 3, 0))
-        return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
+        return np.concatenate([effect.design(sightings) for effect in self.effects_and_nuisance_errors], axis=2)
 
     def change_by_extra_parameters(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings of n pointings by all q additional parameters, with values (q,) [SI]."""
-        return self._linear_effects_change(self.extra_effects, sightings, parameters)
+        return self._linear_effects_change(self.effects_and_nuisance_errors, sightings, parameters)
 
     def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings of n pointings by `effects`, from q additional parameters (q,) [SI]."""
@@ -282,7 +282,7 @@ class MeasurementModel:
     def _linear_effects_change(
         self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
     ) -> Floats:
-        """Change (n, 3) of the readings of n pointings by `linear_effects`, which are the first of `extra_effects`.
+        """Change (n, 3) of the readings of n pointings by `linear_effects`, which are the first of `effects_and_nuisance_errors`.
 
         `parameters` (q,) are the values of all q additional parameters.
         """
@@ -293,12 +293,12 @@ class MeasurementModel:
 
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3) [m, rad] of n pointings at `state`."""
-        return self.latest_prediction.readings_at_state(state, self._predicted_readings)
+        return self.prediction_cache.readings_at_state(state, self._predicted_readings)
 
     def _predicted_readings(self, state: NetworkState) -> Floats:
         sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
-        if self.extra_effects:
+        if self.effects_and_nuisance_errors:
             sightings = self._with_normals_and_readings(sightings, state, raw_readings)
             raw_readings = raw_readings + self.change_by_extra_parameters(sightings, state.extra_parameters)
         if self._is_horizontal_distance is not None:
@@ -308,8 +308,8 @@ class MeasurementModel:
         return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
-        """Parameter values of each entry of `extra_effects`; zeros if `parameters` has fewer than q values."""
-        n_parameters = [len(effect.parameters) for effect in self.extra_effects]
+        """Parameter values of each entry of `effects_and_nuisance_errors`; zeros if `parameters` has fewer than q values."""
+        n_parameters = [len(effect.parameters) for effect in self.effects_and_nuisance_errors]
         all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
         return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
@@ -320,13 +320,13 @@ class MeasurementModel:
         raw, by_point, by_instrument = self.construction.readings_and_design(
             sightings.local_points, sightings.face, values
         )
-        if self.extra_effects:
+        if self.effects_and_nuisance_errors:
             sightings = self._with_normals_and_readings(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
-        if self.extra_effects:
-            extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
+        if self.effects_and_nuisance_errors:
+            extra = zip(self.effects_and_nuisance_errors, self._values_by_effect(state.extra_parameters), strict=True)
             parts = [effect.linearise(sightings, values) for effect, values in extra]
             raw = raw + np.sum([part.reading_change for part in parts], axis=0)
             by_extra = np.concatenate([part.parameter_derivatives for part in parts], axis=2)

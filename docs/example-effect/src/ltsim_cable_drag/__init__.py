@@ -5,11 +5,11 @@ instrument follows the cable's pull by a share of the angle that the head has tu
 opposite sign on both sides of the cable's rest.
 
 Size: under 0.2 ppm (0.2 urad a radian) with a hanging cable, 2 to 5 ppm with a stiff one that lies on the floor.
-Like: azimuth-eccentricity sine and azimuth-drift where targets are taken round the clock.
+Similar to: azimuth-eccentricity sine and azimuth-drift where targets are taken round the clock.
 Separate by: a target taken again after a full turn of the head; two faces; the cable hung up.
-Valid: a cable that pulls in proportion to the turn; targets on more than half of the circle.
+Validity: a cable that pulls in proportion to the turn; targets on more than half of the circle.
 Source: mechanics of a torsion spring.
-Status: validated on the sign and against a simulated recording.
+Validation: validated on the sign and against a simulated recording.
 """
 
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.scene.sightings import Sightings
 
-STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
+ACCUMULATED_COVARIATES = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
 """Names of the covariates whose changes accumulate in a state."""
 RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
 """Names of events that reset a state: a change of the face, of the target, or of the direction of motion of an axis."""
@@ -32,48 +32,48 @@ POINTING_DECAY_FUNCTION = "forgets"
 """Name of the function of a state that decays exponentially with the number of pointings."""
 FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the function of a state that is reset after a fixed number of pointings."""
-RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
+CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
 """Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
-DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
+CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays that a search tries, as fractions of the span of the time. For states the first three are
 tried, as fractions of the median duration of a set-up. A time constant between two of them differs from one of them by
 less than a factor of two.
 """
-DECAY_POINTINGS = (2.0, 4.0, 8.0)
+CANDIDATE_DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
 FIXED_COUNT_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
-POINTINGS_BETWEEN_RESETS = range(3, 31)
+CANDIDATE_POINTINGS_BETWEEN_RESETS = range(3, 31)
 """Numbers of pointings between resets of a state that a search tries."""
-LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
+CANDIDATE_LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that a search tries, as quantiles of the quantity."""
-MIN_RESETS = 2
+MIN_ACCUMULATION_RESETS = 2
 """Smallest number of pointings with reset, and smallest number of pointings without reset, for which a search tries a
 state. The first pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
 """
-StateKey = tuple[str, str, float]
+AccumulationKey = tuple[str, str, float]
 """Key of a state: input covariate, function (kind of decay or reset), and constant of the function (a limit, a time
 constant [s], or a number of pointings)."""
 
 
-def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
+def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> list[AccumulationKey]:
     """Keys of the states that a search tries; `inputs` are names of covariates.
 
     The columns of the states are stored in the cache of the sightings.
     """
-    functions = list(_state_functions(sightings))
+    functions = list(_candidate_decays_and_resets(sightings))
     states = [
         (name, how, k)
         for name in inputs
         for how, k in functions
         if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
     ]
-    _cache_states(sightings, states)
+    _cache_accumulations(sightings, states)
     min_spans = {name: SQRT_MACHINE_EPSILON * float(np.ptp(sightings.covariate_values[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived_cache[key]) > min_spans[key[0]]]
 
 
-def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
+def _candidate_decays_and_resets(sightings: Sightings) -> Iterator[tuple[str, float]]:
     """Iterator over pairs of a function of a state (a kind of decay or of reset) and its constant.
 
     A function is omitted if it has too few resets in these sightings, or too few pointings without reset.
@@ -82,32 +82,38 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
     )
     yield from (
-        (TIME_DECAY_FUNCTION, setup_duration * share) for share in DECAY_TIME_FRACTIONS[:-1] if setup_duration > 0.0
+        (TIME_DECAY_FUNCTION, setup_duration * share)
+        for share in CANDIDATE_DECAY_TIME_FRACTIONS[:-1]
+        if setup_duration > 0.0
     )
-    yield from ((POINTING_DECAY_FUNCTION, number) for number in DECAY_POINTINGS)
+    yield from ((POINTING_DECAY_FUNCTION, number) for number in CANDIDATE_DECAY_POINTINGS)
     reset_functions = [(f"after {name}", 1.0) for name in RESET_EVENTS]
     for name in RESET_LIMIT_QUANTITIES:
         x = _limit_quantity(sightings, name)
         reset_functions += (
-            [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], RESET_LIMIT_QUANTILES))]
+            [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], CANDIDATE_RESET_LIMIT_QUANTILES))]
             if x.any()
             else []
         )
-    reset_functions += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in POINTINGS_BETWEEN_RESETS]
+    reset_functions += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in CANDIDATE_POINTINGS_BETWEEN_RESETS]
     for how, k in reset_functions:
         n_resets = int(_is_reset(sightings, how, k).sum())
-        if MIN_RESETS <= n_resets < len(sightings) - len(np.unique(sightings.station)) - MIN_RESETS:
+        if (
+            MIN_ACCUMULATION_RESETS
+            <= n_resets
+            < len(sightings) - len(np.unique(sightings.station)) - MIN_ACCUMULATION_RESETS
+        ):
             yield how, k
 
 
-def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
+def accumulation_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
     """Value (n,), at each of n pointings, of a quantity that accumulates and decays (state), minus its mean.
 
     The state accumulates the changes of `covariate`. `function_name` is the kind of decay or reset, `constant` is the
     constant of this function.
     """
-    key: StateKey = covariate, function_name, constant
-    _cache_states(sightings, [key])
+    key: AccumulationKey = covariate, function_name, constant
+    _cache_accumulations(sightings, [key])
     values: Floats = sightings.derived_cache[key]
     return values
 
@@ -132,11 +138,11 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     return latch_values - latch_values.mean()
 
 
-def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
+def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
     """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
     latches = []
     for name in covariates:
-        thresholds = np.unique(np.quantile(sightings.covariate_values[name], LATCH_QUANTILES))
+        thresholds = np.unique(np.quantile(sightings.covariate_values[name], CANDIDATE_LATCH_QUANTILES))
         latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
     return latches
 
@@ -170,7 +176,7 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
     return np.asarray(has_previous & (quantity != quantity[before]))
 
 
-def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
+def _cache_accumulations(sightings: Sightings, state_keys: Sequence[AccumulationKey]) -> None:
     """Joint computation of several states; their values at n pointings minus their mean, (n,), are cached."""
     state_keys = [key for key in state_keys if key not in sightings.derived_cache]
     if not state_keys:

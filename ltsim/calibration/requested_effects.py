@@ -1,8 +1,8 @@
 """Estimation of effects and empirical laws that the user requests, together with the calibration.
 
-Stations, targets and shape constants that the user does not fix are selected so that chi-square decreases most. The
-shape constants are then adjusted with all other unknowns. The p-value of the decrease is corrected for the number of
-tested combinations of stations, targets and shape constants.
+Stations, targets and shape parameters that the user does not fix are selected so that chi-square decreases most. The
+shape parameters are then adjusted with all other unknowns. The p-value of the decrease is corrected for the number of
+tested combinations of stations, targets and shape parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ from ltsim.core.errors import ModelError, option_text
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
-from ltsim.physics.effects.verbs import LOCATION_FIELDS
+from ltsim.physics.effects.verbs import LOCATION_FIELD_NAMES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
@@ -34,7 +34,7 @@ class RequestedEffect:
     """Effect or empirical law that the user requests; the readings determine the fields outside `fixed_fields`."""
 
     effect: CandidateEffect
-    """Effect with the requested stations, targets and shape constants."""
+    """Effect with the requested stations, targets and shape parameters."""
     fixed_fields: frozenset[str] = frozenset()
     """Names of the fields whose values the user gave."""
 
@@ -51,13 +51,13 @@ class RequestedEffect:
             raise ModelError(
                 f"{name} is always estimated in a calibration; restrict it to a station, as in {name}:NAME"
             )
-        for kind, names in zip(LOCATION_FIELDS, (recording.stations, recording.targets), strict=True):
+        for kind, names in zip(LOCATION_FIELD_NAMES, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
     def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
-        """Variants of the effect (stations, targets, shape constants) that agree with the fields fixed by the user."""
+        """Variants of the effect (stations, targets, shape parameters) that agree with the fields fixed by the user."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
         matching = [
@@ -69,22 +69,22 @@ class RequestedEffect:
             return matching
         free_shapes = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
         grids = product(*([(s.name, float(v)) for v in s.grid_values()] for s in free_shapes))
-        return [self.effect.with_constants(**dict(shape)) for shape in grids]
+        return [self.effect.with_shape_parameters(**dict(shape)) for shape in grids]
 
 
-def fit_with_extra_effects(
+def fit_with_requested_effects(
     adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     unreported_effects: Sequence[CandidateEffect],
-    extra_effects: Sequence[RequestedEffect],
+    requested_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """Adjustment with the requested effects, and the entry of each effect for the result.
 
-    The stations, targets and shape constants of each effect are selected with all previous effects in the model.
+    The stations, targets and shape parameters of each effect are selected with all previous effects in the model.
     `unreported_effects` are estimated first and have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
-    for wanted in extra_effects:
+    for wanted in requested_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
         best = max(
             candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_design(effect))))
@@ -124,7 +124,7 @@ def _refit_with_best_constants(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects whose shape constants minimise chi-square, and the last refit of these constants."""
+    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these constants."""
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -160,7 +160,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape constants (names, fixed numbers, estimated numbers)."""
+    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers)."""
     parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
@@ -175,7 +175,7 @@ def _effect_entries(
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
-    """Entry of one estimated parameter or shape constant in display units, from its estimate and sigma in SI units."""
+    """Entry of one estimated parameter or shape parameter in display units, from its estimate and sigma in SI units."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)
