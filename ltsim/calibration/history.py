@@ -1,4 +1,4 @@
-"""Result of `history`: parameters of an instrument over its calibrations, and their changes."""
+"""History of an instrument: result of `history` with its parameters in successive calibrations, and their changes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal, Self
@@ -18,7 +18,7 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFlo
 
 
 class ParameterHistory(Entry):
-    """Values of one parameter in successive calibrations, in its display unit."""
+    """Values of one parameter in successive calibrations, in its display unit, with their mean and constancy test."""
 
     name: str
     """Name of the parameter."""
@@ -31,20 +31,20 @@ class ParameterHistory(Entry):
     prior_sigma: OptionalFloat = None
     """Prior standard deviation of the parameter."""
     mean: Finite
-    """Weighted mean of the estimates."""
+    """Weighted mean of the estimates of all calibrations."""
     between_calibration_sigma: Finite
-    """Standard deviation of the parameter from calibration to calibration, without estimation errors."""
+    """Standard deviation of the true value between calibrations; estimation errors are not included."""
     constancy_test: ChiSquareEntry
     """Chi-square test that the parameter is the same in all calibrations."""
 
 
 class HistoryCalibration(Entry):
-    """Calibration in a history: its label and its fit."""
+    """Calibration in a history: its label and its fit statistics."""
 
     label: str
     """Name of the calibration in the report."""
     fit: FitEntry
-    """Agreement of readings and model."""
+    """Fit statistics of the calibration: chi-square, sigma0 and p-value."""
 
 
 INSTRUMENT_CHANGES_TABLE = Table(
@@ -96,13 +96,13 @@ EVENTS_TABLE = Table(
 
 
 class History(ResultFile):
-    """Result of `history`, with the content of `history.json`."""
+    """History of an instrument: result of `history`, with the content of `history.json`."""
 
     FILE: ClassVar[str] = "history.json"
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
-    """Format and version of this file."""
+    """Name and version of the file format."""
     construction: str = ""
-    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
+    """Name of the geometric error model: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
     calibrations: tuple[HistoryCalibration, ...] = Field(min_length=1)
     """Calibrations in chronological order."""
     parameters: tuple[ParameterHistory, ...] = ()
@@ -111,11 +111,12 @@ class History(ResultFile):
     """Covariance of the mean parameters, in their units. Combinations that no calibration determines have their prior
     variance."""
     constancy_test: ChiSquareEntry | None = None
-    """Chi-square test that no parameter changed."""
+    """Chi-square test that no parameter changed; null if it cannot be computed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
-    """Significant steps of parameters; empty also if there are too few calibrations for a test."""
+    """Significant changes of parameters between successive calibrations; empty also if there are too few
+    calibrations for a test."""
     change_since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
@@ -142,19 +143,19 @@ class History(ResultFile):
 
     @property
     def series(self) -> CalibrationSeries:
-        """Calibrations as arrays; raises ModelError for a history that was read from a file."""
+        """Calibrations of the history as arrays; raises ModelError for a history that was read from a file."""
         if self._series is None:
             raise ModelError("a history read from a file has no calibrations; call lt.history with them")
         return self._series
 
     @property
     def labels(self) -> list[str]:
-        """Labels of the calibrations."""
+        """Labels of the calibrations in chronological order."""
         return [calibration.label for calibration in self.calibrations]
 
     @property
     def determined_parameters(self) -> list[ParameterHistory]:
-        """Parameters that at least two calibrations determine; only their constancy can be tested."""
+        """Parameters that at least two calibrations determine, so that their constancy can be tested."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:
@@ -177,14 +178,14 @@ class History(ResultFile):
         }
 
     def _table_by_calibration(self, values_by_parameter: Sequence[tuple[float, ...]]) -> ColumnValues:
-        """Table with one row per calibration and one column per parameter, from the values of each parameter."""
+        """Table with a row per calibration and a column per parameter, from the values of each parameter."""
         columns = {
             f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, values_by_parameter, strict=True)
         }
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:
-        """Changes from each calibration to the next, and from the first to the last."""
+        """Table of changes from each calibration to the next, and from the first to the last."""
         candidates = [*self.changes, self.change_since_first] if len(self.changes) > 1 else [self.change_since_first]
         return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
@@ -214,7 +215,7 @@ class History(ResultFile):
 
 
 def _parameter_history(series: CalibrationSeries, parameter_index: int) -> ParameterHistory:
-    """Values of one parameter over the calibrations of a series, in its display unit."""
+    """Values of the parameter with the index `parameter_index` over a series of calibrations, in its display unit."""
     parameter, population = series.construction.parameters[parameter_index], series.population
     return ParameterHistory(
         name=parameter.name,

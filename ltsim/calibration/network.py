@@ -192,9 +192,9 @@ def adjust(
 
 
 def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit of the used readings that also estimates the instrument constants, if the fit without these is rejected.
+    """Fit statistics with the instrument constants estimated too, from the readings in use.
 
-    It is None if the fit without instrument constants is accepted, and for corrected instruments.
+    It is None for corrected instruments, and if the fit without instrument constants is not rejected.
     """
     recording = adjustment.recording
     if recording.is_corrected or network_uncertainty_factor(adjustment) == 1.0:
@@ -214,12 +214,12 @@ def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
 
 
 def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
-    """Grouping of the readings for the estimation of their noise; None if it is not estimated."""
+    """Grouping of the readings for the estimation of their noise; None if the noise is not estimated."""
     return "instrument" if noise_from_data else None
 
 
 def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
-    """Names of the targets with an accepted cause that is no outlier of a single reading."""
+    """Names of the targets with a selected cause of a misfit, other than an outlier of a single reading."""
     faults = (test for test in tests if test.is_fault and test.kind != "outlier")
     return tuple(dict.fromkeys(name for test in faults for name in test.where.targets))
 
@@ -227,7 +227,7 @@ def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
 def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
 ) -> Calibration:
-    """Calibration from an adjusted network; `fields` are further fields of the result."""
+    """Calibration from an adjusted network; `fields` are other fields of the result."""
     recording, construction = adjustment.recording, adjustment.construction
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
     is_fixed = adjustment.problem.prior.is_fixed

@@ -1,8 +1,8 @@
 """Estimation of effects and empirical laws that the user requests, together with the calibration.
 
-Stations, targets and shape parameters that the user does not fix are selected so that chi-square decreases most. The
-shape parameters are then adjusted with all other unknowns. The p-value of the decrease is corrected for the number of
-tested combinations of stations, targets and shape parameters.
+Stations, targets and shape parameters (period, time constant, onset time) that the user does not fix are selected so
+that chi-square decreases most. The shape parameters are then adjusted with all other unknowns. The p-value of the
+decrease is corrected for the number of tested combinations of stations, targets and shape parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,15 +31,15 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """Effect or empirical law that the user requests; the readings determine the fields outside `fixed_fields`."""
+    """Effect or empirical law that the user requests, and the fields that the user fixed."""
 
     effect: CandidateEffect
     """Effect with the requested stations, targets and shape parameters."""
     fixed_fields: frozenset[str] = frozenset()
-    """Names of the fields whose values the user gave."""
+    """Names of the fields whose values the user gave; the readings determine the other ones."""
 
     def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
-        """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
+        """Check that the effect can be estimated in the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option_text('noise_from_data=True')} to estimate the noise"
@@ -80,7 +80,8 @@ def fit_with_requested_effects(
     """Adjustment with the requested effects, and the entry of each effect for the result.
 
     The stations, targets and shape parameters of each effect are selected with all previous effects in the model.
-    `unreported_effects` are estimated first and have no entry.
+    `adjust_with` is a function from effects to the adjustment with these. The `unreported_effects` are estimated first
+    and have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
@@ -92,7 +93,7 @@ def fit_with_requested_effects(
         freedom, before = space.chi2_drop(space.whitened_design(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
-            adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
+            adjustment, fit = _refit_with_best_shape_parameters(adjust_with, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
         place = (
             "" if isinstance(estimated, EmpiricalLaw) and estimated.has_coefficients_per_setup else estimated.place_text
@@ -119,12 +120,12 @@ def fit_with_requested_effects(
     )
 
 
-def _refit_with_best_constants(
+def _refit_with_best_shape_parameters(
     adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these constants."""
+    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters."""
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -136,7 +137,7 @@ def _refit_with_best_constants(
 
 
 def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
-    """Name of an effect; for an empirical law its text, as in `elevation ~ time`."""
+    """Name of an effect for users; for an empirical law its text, such as `elevation ~ time`."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
     regressor_name = regressor_text(effect.regressor, has_clock=adjustment.recording.has_clock)
@@ -144,7 +145,7 @@ def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
-    """Entries of the estimated sizes of an empirical law, one of the effects of an adjustment."""
+    """Entries of the estimated sizes (such as the amplitude) of an empirical law in an adjustment."""
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
     first_parameter = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first_parameter, first_parameter + len(law.parameters))
@@ -175,7 +176,7 @@ def _effect_entries(
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
-    """Entry of one estimated parameter or shape parameter in display units, from its estimate and sigma in SI units."""
+    """Entry of an estimated parameter or shape parameter in display units; `estimate` and `sigma` are in SI units."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)

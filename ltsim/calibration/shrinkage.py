@@ -1,6 +1,6 @@
-"""Shrinkage of the correction: parameters to apply to readings, so that new points are not expected to become worse.
+"""Shrinkage of a correction: instrument parameters to apply to readings, so that new points are not expected to become worse.
 
-The estimates and their covariance belong to the declared prior. The applied values may be smaller:
+The estimates and their covariance belong to the declared prior. The applied values may be smaller than the estimates:
 
 * a parameter that the readings do not determine keeps the mean of its prior, usually 0;
 * a parameter is not applied if the readings of targets are predicted better without it (`HeldOutTarget`);
@@ -37,26 +37,27 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
 CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
-"""Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
+"""Scales of the prior (factors on the declared standard deviations) that are tested, in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, above which the declared
-scale is rejected (likelihood ratio test)."""
+"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which the declared scale
+is rejected (likelihood ratio test)."""
 MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Largest difference between the log-likelihood of the most likely scale of the prior and that of another scale at
-which the other scale counts as plausible."""
+"""Log-likelihood ratio of the most likely scale of the prior to another scale, up to which the other scale counts as
+plausible."""
 MAX_PRIOR_SCALE = 30.0
-"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
-another cause."""
+"""Largest plausible scale of the prior. No instrument exceeds its whole specification by a larger factor, so that a
+larger misfit has another cause."""
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
-"""Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
+"""Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals above which a parameter is not applied; 2 is Akaike's penalty for
-one parameter."""
+"""Decrease of the sum of squared held-out residuals without a parameter, above which this parameter is not applied.
+The value 2 is Akaike's penalty for one parameter."""
 MAX_DENSE_UNKNOWNS = 500
-"""Largest number of unknowns for which a dense inverse or an orthonormal basis is computed, because of processor time;
-it limits the prediction of held-out targets and the Gram matrices of simulated recordings."""
+"""Largest number of unknowns for which a dense inverse or an orthonormal basis is computed, because of processor
+time. It limits the prediction of held-out targets and the Gram matrices of simulated recordings."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets with predicted readings at which parameters are tested for application."""
+"""Smallest number of held-out targets with predicted readings for which the prediction without a parameter is
+tested."""
 
 
 def recommend_correction(
@@ -158,12 +159,12 @@ class ScaledPrior:
 
     @property
     def most_likely_scale(self) -> float:
-        """Scale of the prior with the largest likelihood."""
+        """Scale of the prior (factor on the declared standard deviations) with the largest likelihood."""
         return float(self._scales[self._best_index])
 
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
-        """Smallest and largest plausible scale of the prior."""
+        """Smallest and largest plausible scale of the prior (factor on the declared standard deviations)."""
         near_indices = np.flatnonzero(
             self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO
         )
@@ -171,7 +172,7 @@ class ScaledPrior:
 
     @property
     def rejects_declared_scale(self) -> bool:
-        """True if the readings reject the declared scale of the prior."""
+        """True if the readings reject the declared standard deviations of the prior (scale 1)."""
         nominal_index = int(np.argmin(np.abs(np.log(self._scales))))
         return bool(
             self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal_index]
@@ -186,7 +187,7 @@ class ScaledPrior:
 
     @property
     def scale_of_applied_values(self) -> float:
-        """Scale of the prior for the applied parameters: 1, unless the scale 1 is rejected or there is no prior."""
+        """Scale of the prior for the applied parameters: 1, unless this scale is rejected or there is no prior."""
         return (
             self.most_likely_scale
             if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_scale_estimated
@@ -195,7 +196,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence on the scale of the prior if the declared scale was rejected or the scale estimated; else empty."""
+        """Sentence for users on the scale of the prior, if it was estimated or 1 was rejected; empty otherwise."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
@@ -214,11 +215,11 @@ class ScaledPrior:
         return f"without a prior, sigmas {factor} as large as the usual ones are most likely {limits}; {phrase}"
 
     def estimate(self, prior_scale: float) -> Floats:
-        """Estimate (parameters,) in prior sigmas, if all priors are `prior_scale` times as wide as declared."""
+        """Estimate (parameters,) in prior sigmas for a prior whose sigmas are `prior_scale` times the declared ones."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_matrix: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Parameters to apply (parameters,), shrunk towards the prior mean where necessary, and a sentence on this.
+        """Parameters to apply (parameters,), shrunk towards the prior mean where necessary, and a sentence for users.
 
         The mean square error of a new point is the quadratic form `point_error_matrix` (parameters, parameters) of the
         errors of the parameters. `prior_mean` (parameters,) is the mean of the prior.
@@ -240,7 +241,7 @@ class ScaledPrior:
     def point_errors(
         self, point_error_matrix: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
-        """Expected rms error [m] of a new point by instrument errors, uncorrected and with the applied parameters."""
+        """Expected rms errors [m] of a new point due to instrument errors: uncorrected, and with the applied values."""
         scale = self.scale_of_applied_values
         posterior_mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
@@ -252,7 +253,7 @@ class ScaledPrior:
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
-    """Rms error [m] of measured points by noise with standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
+    """Rms error [m] of the measured points due to noise with the standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
     is_complete = recording.is_measured.all(axis=1)
     if not is_complete.any():
         return 0.0
@@ -286,7 +287,7 @@ def point_error_matrix(adjustment: Adjustment) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOutTarget:
-    """Prediction of the readings of one target from all other targets.
+    """Prediction of the readings of one target from the readings of all other targets.
 
     Let r (rows,) be the residuals of the target's observations and A (rows, unknowns) their design matrix by poses and
     parameters, both after elimination of the coordinates of the target. With the covariance C of poses and parameters
@@ -295,16 +296,16 @@ class HeldOutTarget:
     """
 
     held_out_residual: Floats
-    """Differences of the target's observations from their prediction by all other targets, whitened, shape (rows,)."""
+    """Observations of the target minus their prediction from all other targets, whitened, shape (rows,)."""
     residual_parameter_cross_covariance: Floats
     """Covariance of the held-out residuals with the instrument parameters, shape (rows, parameters)."""
     parameter_covariance: Floats
-    """Covariance of the instrument parameters, estimated without this target, shape (parameters, parameters)."""
+    """Covariance of the instrument parameters estimated without this target, shape (parameters, parameters)."""
     estimate_shift: Floats
     """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,)."""
 
     def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
-        """Sum of squared held-out residuals if the parameters `fixed_indices` are zero.
+        """Sum of squared held-out residuals if the parameters with the indices `fixed_indices` are zero.
 
         `parameters` (parameters,) are the estimates from all readings.
         """
@@ -319,7 +320,7 @@ class HeldOutTarget:
 
 
 def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
-    """Indices, among the parameters of all instruments, of those without which held-out targets are predicted better.
+    """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
 
     Parameters are dropped one after the other, beginning with the one that degrades the predictions most. None is
     dropped in a large network, or in a network with few targets. `noise_factor` multiplies the noise of the readings.
@@ -346,7 +347,7 @@ def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Int
 
 
 def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
-    """Indices of each estimated parameter with information; a cosine and its sine form one group."""
+    """Indices of each estimated parameter about which the readings have information; cosine and sine form one group."""
     prior, open_ = adjustment.problem.prior, informative_parameter_mask(adjustment)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
     term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
@@ -356,7 +357,7 @@ def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Predictions of every target that has redundant readings and whose coordinates were eliminated.
+    """Predictions of every target that has redundant readings and whose coordinates can be eliminated.
 
     The declared coordinates of a target are held out with its readings and predicted too.
     """
@@ -384,13 +385,13 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design and residuals (rows,) after elimination of the coordinates that have `target_design` (rows, 3)."""
+    """Design matrix and residuals (rows,) after elimination of the coordinates with the design matrix `target_design` (rows, 3)."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
-    """Prediction of a target's observations, from design and residuals after elimination of its coordinates."""
+    """Prediction of a target's observations, from design matrix and residuals after elimination of its coordinates."""
     covariance, at = adjustment.retained_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)

@@ -32,7 +32,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
 NO_PRIOR_OPTION_VALUE = "none"
-"""Value of the option `prior` that requests a calibration without prior information."""
+"""Value of the option `prior` for a calibration without prior information."""
 
 
 def calibrate(
@@ -53,7 +53,7 @@ def calibrate(
     with_effects: str | Effect | Sequence[str | Effect] = (),
     advise: bool = True,
 ) -> Calibration:
-    """Instrument parameters from a recording, with uncertainties and undetermined combinations.
+    """Calibration of the instruments of a recording: parameters, uncertainties and undetermined combinations.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def calibrate(
         Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With `none` there
         is no prior, and the readings alone determine the shrinkage of the correction. For method `network` only.
     harmonics : int, optional
-        Order of the joint errors of a D-H chain, 0 to 4; default 2.
+        Order of the harmonics in the errors of the axes of a D-H chain, 0 to 4; default 2.
     degree : int, optional
-        Degree of the range errors of a D-H chain, 0 to 9; default 2.
+        Degree of the polynomials in the errors of the range axis of a D-H chain, 0 to 9; default 2.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
@@ -155,7 +155,7 @@ def calibrate(
 
 
 def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
-    """Requested effect, given as an effect or as its text. Fields left at their defaults are chosen from the readings.
+    """Requested effect from an effect or its text; fields with their default value are determined from the readings.
 
     Raises ModelError for an effect with a size, because its size is estimated.
     """
@@ -171,7 +171,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from the text `NAME` or `NAME:WHERE,...` with stations, targets and constants, or from a law."""
+    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets and shape parameters, or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -197,7 +197,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
-    """Instrument model with the given name; None for the model declared in the set-up."""
+    """Geometric error model with the given name; None for the model that the set-up declares."""
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -313,7 +313,7 @@ def history(
 def _load_labelled(
     label: str, source: RecordingSource | Calibration, options: dict[str, Any]
 ) -> tuple[str, Calibration]:
-    """Label and calibration of a source; the label of a file is its name."""
+    """Label and calibration of a source; the label of a file is the name of the file."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

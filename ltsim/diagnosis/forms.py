@@ -145,7 +145,7 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
     """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
-    if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.direction:
+    if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.component_ratio:
         return [form]
     gram, score = calculator.grams_and_scores([law], conditioning_model)[0]
     ratio, evidence, log_share = best_component_ratio(gram, score, law.plausible_sizes, law.n_setup_components)
@@ -155,7 +155,7 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(
             form,
-            effect=replace(law, direction=ratio),
+            effect=replace(law, component_ratio=ratio),
             log_prior=form.log_prior + share,
             log_evidence=form.log_evidence + gain + share,
         ),
@@ -185,7 +185,7 @@ def _forms_at_single_set_ups(
             stations=(name,),
             regressor=driver.with_field_centred_on(law.targets),
             length_scale_index=0,
-            direction=(),
+            component_ratio=(),
         )
         for driver in drivers
         for name in stations

@@ -1,12 +1,13 @@
-"""States of a set-up: quantities that accumulate over pointings, decay, and are reset by events.
+"""Accumulated quantities of a set-up: sums over the pointings that decay, or that events reset; and latches.
 
-In the order of measurement of a set-up a state is s_i = k_i (s_(i-1) + u_i). The input u_i is the change of a quantity
-since the previous pointing: the time, the number of pointings, or the accumulated rotation of an axis. The factor k_i
-is 1 for a plain sum. It is less than 1 if the state decays with time or with the number of pointings, and 0 if an event
-resets it. Such events are a change of face or of the target, an axis that turns back, a pause, a long motion, or a
-fixed number of pointings. A latch is a state with the values 1 and 0: it is set when a quantity rises above one
-threshold and reset when it falls below a lower threshold (a relay; Krasnosel'skii and Pokrovskii, Systems with
-hysteresis, 1989).
+In the order of measurement of a set-up, an accumulated quantity is s_i = k_i (s_(i-1) + u_i). The input u_i is the
+change of a covariate since the previous pointing: the time, the number of pointings, or the total rotation of an axis.
+The factor k_i is 1 for a plain sum. It is less than 1 if the quantity decays with time or with the number of pointings,
+and 0 if an event resets it. Such events are a change of face or of the target, an axis that turns back, a pause, a long
+motion, or a fixed number of pointings.
+
+A latch has the values 1 and 0: it is set when a covariate rises above one threshold and released when the covariate
+falls below a lower one (a relay; Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,47 +20,47 @@ from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.scene.sightings import Sightings
 
 ACCUMULATED_COVARIATES = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
-"""Names of the covariates whose changes accumulate in a state."""
+"""Names of the covariates whose changes from pointing to pointing are accumulated."""
 RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
-"""Names of events that reset a state: a change of the face, of the target, or of the direction of motion of an axis."""
+"""Names of events that reset an accumulated quantity to zero: a change of the face, of the target (`seating`), or of
+the direction of motion in azimuth or in elevation."""
 RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
-"""Names of quantities that reset a state if they exceed a limit: the time since the previous pointing, the motion in
-azimuth, and the motion in elevation.
-"""
+"""Names of quantities that reset an accumulated quantity if they exceed a limit: the time since the previous
+pointing (`pause`), the motion in azimuth (`slew`), and the motion in elevation (`tip`)."""
 TIME_DECAY_FUNCTION = "fades"
-"""Name of the function of a state that decays exponentially with time."""
+"""Name of the exponential decay of an accumulated quantity with time."""
 POINTING_DECAY_FUNCTION = "forgets"
-"""Name of the function of a state that decays exponentially with the number of pointings."""
+"""Name of the exponential decay of an accumulated quantity with the number of pointings."""
 FIXED_COUNT_RESET_FUNCTION = "every"
-"""Name of the function of a state that is reset after a fixed number of pointings."""
+"""Name of the reset of an accumulated quantity after a fixed number of pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
+"""Limits of the `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of these quantities in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time. For states the first three are
-tried, as fractions of the median duration of a set-up. A time constant between two of them differs from one of them by
-less than a factor of two.
-"""
+"""Time constants of decays that a search tries, as fractions of the span of the time. For accumulated quantities
+only the first three are tried, as fractions of the median duration of a set-up. Any time constant between two of
+them differs from one of them by less than a factor of two."""
 CANDIDATE_DECAY_POINTINGS = (2.0, 4.0, 8.0)
-"""Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
+"""Decay constants that a search tries for accumulated quantities: numbers of pointings in which they decay by a
+factor of e."""
 FIXED_COUNT_INPUTS = ("station-time", "count")
-"""Inputs of states that are reset after a fixed number of pointings."""
+"""Names of the covariates that a search accumulates with a reset after a fixed number of pointings."""
 CANDIDATE_POINTINGS_BETWEEN_RESETS = range(3, 31)
-"""Numbers of pointings between resets of a state that a search tries."""
+"""Numbers of pointings between two resets of an accumulated quantity that a search tries."""
 CANDIDATE_LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Thresholds of latches that a search tries, as quantiles of the quantity."""
+"""Thresholds of latches that a search tries, as quantiles of the covariate in the recording."""
 MIN_ACCUMULATION_RESETS = 2
-"""Smallest number of pointings with reset, and smallest number of pointings without reset, for which a search tries a
-state. The first pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
-"""
+"""Smallest number of pointings with a reset, and smallest number without one, for which a search tries an
+accumulated quantity. The first pointing of a set-up counts as neither. With fewer resets the quantity is nearly a
+plain sum."""
 AccumulationKey = tuple[str, str, float]
-"""Key of a state: input covariate, function (kind of decay or reset), and constant of the function (a limit, a time
-constant [s], or a number of pointings)."""
+"""Key of an accumulated quantity: name of the covariate, name of the decay or reset, and its constant (a time
+constant [s], a number of pointings, or a limit)."""
 
 
 def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> list[AccumulationKey]:
-    """Keys of the states that a search tries; `inputs` are names of covariates.
+    """Keys of the accumulated quantities that a search tries; `inputs` are the names of the covariates.
 
-    The columns of the states are stored in the cache of the sightings.
+    Their values in the pointings are stored in the cache of the sightings.
     """
     functions = list(_candidate_decays_and_resets(sightings))
     states = [
@@ -74,9 +75,9 @@ def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> 
 
 
 def _candidate_decays_and_resets(sightings: Sightings) -> Iterator[tuple[str, float]]:
-    """Iterator over pairs of a function of a state (a kind of decay or of reset) and its constant.
+    """Iterator over pairs of the name of a decay or reset of an accumulated quantity, and its constant.
 
-    A function is omitted if it has too few resets in these sightings, or too few pointings without reset.
+    A reset is omitted if too few pointings have it, or too few pointings do not have it.
     """
     setup_duration = float(
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
@@ -107,10 +108,10 @@ def _candidate_decays_and_resets(sightings: Sightings) -> Iterator[tuple[str, fl
 
 
 def accumulation_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Value (n,), at each of n pointings, of a quantity that accumulates and decays (state), minus its mean.
+    """Values (n,) in n pointings of an accumulated quantity (a sum that decays or is reset), minus their mean.
 
-    The state accumulates the changes of `covariate`. `function_name` is the kind of decay or reset, `constant` is the
-    constant of this function.
+    The quantity accumulates the changes of `covariate`. `function_name` is the name of the decay or reset, `constant`
+    its constant.
     """
     key: AccumulationKey = covariate, function_name, constant
     _cache_accumulations(sightings, [key])
@@ -119,10 +120,9 @@ def accumulation_column(sightings: Sightings, covariate: str, function_name: str
 
 
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
-    """Value (n,), at each of n pointings, of a variable with two thresholds (latch), minus its mean.
+    """Values (n,) in n pointings of a latch (1 or 0, depending on two thresholds of a covariate), minus their mean.
 
-    The latch is 1 after the covariate exceeds `set_threshold` until it falls below `release_threshold`, and 0
-    otherwise.
+    The latch is 1 after the covariate rises above `set_threshold`, until it falls below `release_threshold`.
     """
     x, rows = sightings.covariate_values[covariate], sightings.pointing_order_by_station
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
@@ -148,15 +148,15 @@ def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> lis
 
 
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
-    """Absolute value (n,) [s or rad] of one of the `RESET_LIMIT_QUANTITIES` at each of n pointings."""
+    """Absolute values (n,) [s or rad] of one of the `RESET_LIMIT_QUANTITIES` in n pointings."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
-    """Flags (n,) of those of n pointings at which a state is reset, except the first pointing of a set-up.
+    """Mask (n,) of the pointings at which an accumulated quantity is reset, except the first pointing of a set-up.
 
-    `function_name` is the kind of reset, `constant` its limit or its number of pointings.
+    `function_name` is the name of the reset, `constant` its limit or its number of pointings.
     """
     has_previous = sightings.previous_pointing_indices >= 0
     before = np.where(has_previous, sightings.previous_pointing_indices, 0)
@@ -177,7 +177,7 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
 
 
 def _cache_accumulations(sightings: Sightings, state_keys: Sequence[AccumulationKey]) -> None:
-    """Joint computation of several states; their values at n pointings minus their mean, (n,), are cached."""
+    """Computation of several accumulated quantities in one pass; the values minus their mean, (n,), are cached."""
     state_keys = [key for key in state_keys if key not in sightings.derived_cache]
     if not state_keys:
         return
@@ -204,10 +204,10 @@ def _increments(sightings: Sightings, covariate: str) -> Floats:
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
-    """Fraction (n,) of the state after the previous pointing that remains at each of n pointings.
+    """Fraction (n,) of an accumulated quantity that remains at each of n pointings from the previous pointing.
 
-    The fraction is 0 at a reset and at the first pointing of a set-up. `function_name` is the kind of decay or reset,
-    and `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.
+    It is 0 at a reset and at the first pointing of a set-up. `function_name` is the name of the decay or reset,
+    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.
     """
     has_previous = (sightings.previous_pointing_indices >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:

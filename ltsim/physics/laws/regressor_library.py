@@ -1,9 +1,9 @@
-"""Library of the regressors that a search tries: functions of base quantities and of the order of measurement.
+"""Library of the regressors that a search tries: functions of base quantities and of the order of the pointings.
 
 Base quantities are the readings and the position of a pointing, the time, and the additional columns of the recording.
-Operators make further regressors: the value at the previous pointing, the change since then, accumulated changes, a
-first-order lag, and a separate value per station or per previous target. Each operator, and each product, multiplies
-the prior odds by `ODDS_PER_OPERATOR`.
+Operators make further regressors of them: the value at the previous pointing, the change since then, accumulated
+changes, a first-order lag, and a separate value per station or per previous target. Each operator, and each product,
+multiplies the prior odds by `ODDS_PER_OPERATOR`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,36 +45,35 @@ from ltsim.scene.sightings import Sightings
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
 """Names of the three raw readings as covariates."""
 MEMORYLESS_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
-"""Covariates that do not depend on earlier pointings."""
+"""Names of the covariates that do not depend on earlier pointings."""
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
-"""Covariates that are readings of a circle, which differ between the faces."""
+"""Names of the covariates that are readings of a circle, which differ between the faces."""
 _NEST_COVARIATES = ("incidence", "nest-direction")
-"""Covariates that need the normals of the nests."""
+"""Names of the covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Covariates with few values, such as the face. A law is proportional to such a covariate; no function of it is tried.
-"""
+"""Names of covariates with few values, such as the face. A law is proportional to them; no function is tried."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
-"""Accumulated rotations of the axes since the set-up began."""
+"""Names of the covariates that are the total rotation of an axis since the set-up began."""
 MEMORY_OPERATOR_PREFIXES = ("last", "move", "work")
-"""Prefixes of covariates: value at the previous pointing, change since then, sum of all absolute changes."""
+"""Prefixes of covariates: value at the previous pointing (`last`), change since (`move`), sum of changes (`work`)."""
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
     "count",
     *(f"{how}-{name}" for how in MEMORY_OPERATOR_PREFIXES for name in RAW_READING_NAMES),
 )
-"""Covariates that depend on preceding pointings."""
+"""Names of the covariates that depend on earlier pointings."""
 BUILTIN_COVARIATES = tuple(
     dict.fromkeys(
         (*MEMORYLESS_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
     )
 )
-"""All covariates that are derived from the pointings; columns of the recording are further covariates."""
+"""Names of the covariates that follow from the pointings; columns of the recording are further covariates."""
 _HEAD_COVARIATES = (
     *("azimuth", "elevation", *_CIRCLE_COVARIATES, *_SIGN_COVARIATES),
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
-"""Covariates that are angles or motions of the tracker head."""
+"""Names of the covariates that are angles or motions of the tracker head."""
 COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "instrument": (
         *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
@@ -89,40 +88,36 @@ COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the recording. The
-position of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head
-is not balanced exactly and the floor yields under the operator."""
+"""Names of the covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the
+recording. The position of a wall, for example, cannot depend on the direction in which a tracker points. The
+position of a stand can, because a head is not balanced exactly and the floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number of targets in a region of the hall, above which a law of the targets in it is tried. With fewer
-targets, the error is one of a single target."""
+"""Effective number of targets in a region of the hall above which a search tries a law of these targets."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Shapes of the regions for laws that depend on the distance of targets from a position."""
+"""Axes that limit the regions of laws which depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
-"""Shapes of the regions that may act during a part of the measurement."""
+"""Axes that limit the regions which may act during a part of the measurement."""
 CANDIDATE_TIME_PART_COUNTS = (2, 4)
-"""Numbers of equal parts into which the measurement is divided; a region of the hall may act in one part only."""
+"""Numbers of equal parts into which a search divides the measurement; a region of the hall may act in one part only."""
 CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
+"""Half-widths of hysteresis loops that a search tries, as fractions of the span of the covariate."""
 CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
 MAX_SEPARATE_AMOUNTS = 12
-"""Largest number of groups (set-ups, instruments, targets) for which a search tries a law with a separate value for
-each group, because more coefficients fit any errors. It is also the largest number of times at which a search tries a
-step, and the smallest number of distinct times in a recording that a search divides into parts."""
+"""Largest number of set-ups, instruments or targets with separate values in a law (more would fit any errors), and
+number of times at which a search tries a step."""
 MAX_SEPARATE_TARGET_VALUES = 60
 """Largest number of targets for which a search tries a law with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
-"""Spacing of the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a frequency
-between two of them still correlates with one.
-"""
+"""Spacing of the frequencies of the waves that a search tries, in cycles over the span of the covariate."""
 MAX_CANDIDATE_WAVE_CYCLES = 60
-"""Largest number of cycles over the covariate's span of a wave that a search tries."""
+"""Largest number of cycles, over the span of the covariate, of a wave that a search tries."""
 MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
 ODDS_PER_OPERATOR = 1.0 / 3.0
-"""Factor on the prior odds of a regressor for each operator, and for each factor of a product after the first."""
+"""Factor on the prior odds of a regressor for each operator (such as a lag), and for each factor after the first."""
 N_OPERATORS_BY_REGRESSOR_KIND = {
     "constant": 0,
     "sign": 0,
@@ -145,7 +140,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Exponent of `ODDS_PER_OPERATOR` by kind of regressor: number of operators plus number of factors after the first."""
+"""Exponent of `ODDS_PER_OPERATOR`, by kind of regressor: number of operators plus factors after the first."""
 
 
 def varying_column_names(sightings: Sightings) -> list[str]:
@@ -155,7 +150,7 @@ def varying_column_names(sightings: Sightings) -> list[str]:
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of the given `covariates` that have varying values in these sightings."""
+    """Names of those of the given `covariates` whose values vary in these sightings."""
     has_nests, faces = np.isfinite(sightings.incidence_angle).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
@@ -165,7 +160,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response with this `Response.changed_part` can depend on a regressor; a `reading` can depend on all."""
+    """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return changed_part == "reading" or all(
         n in COVARIATES_BY_CHANGED_PART[changed_part] or name_without_memory_prefix(n) in sightings.covariates
@@ -174,7 +169,7 @@ def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings)
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; a smooth curve has `n_modes` basis functions."""
+    """Regressors that a search tries, by kind; a smooth curve has `n_modes` eigenfunctions."""
     s, columns = sightings, varying_column_names(sightings)
     base = _varying_covariates(s, (*MEMORYLESS_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
@@ -233,7 +228,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> 
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors for causes that act only in short motions of an axis; they are zero for long motions."""
+    """Regressors for causes that act only in short motions of an axis; they are zero in long motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
@@ -244,7 +239,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
-    """True if the effective number of targets in a region is above `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
+    """True if the effective number of targets in a region exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
     return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 
@@ -276,7 +271,7 @@ def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
 
 
 def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` (one per set-up)."""
+    """Regressors for motions of a group of targets by kind, such as `step`, `curve` or `amounts` (one per set-up)."""
     local, steps = regressors_for_single_targets(sightings), _time_step_regressors(sightings)
     each = per_setup_regressors(sightings, 2)
     return {
@@ -295,7 +290,7 @@ def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regress
 
 
 def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are a step in time, at `MAX_SEPARATE_AMOUNTS` times spread evenly over the pointings."""
+    """Regressors that are steps in time, at `MAX_SEPARATE_AMOUNTS` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
     if len(clock) < MAX_SEPARATE_AMOUNTS:
         return []
@@ -307,16 +302,13 @@ def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _parities_differ(sightings: Sightings) -> bool:
-    """True if a sign that alternates at changes of the target differs from a sign that alternates at each pointing."""
+    """True if a sign that alternates with each target differs from a sign that alternates with each pointing."""
     parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """List with one regressor, which has a separate value for each set-up.
-
-    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_AMOUNTS`.
-    """
+    """Regressor with a value per set-up, in a list; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS`."""
     n_stations = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_AMOUNTS else []
 
@@ -328,8 +320,7 @@ def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
-    """Regressors that depend on one of the covariates with a first-order lag, one for each of
-    `CANDIDATE_LAG_TIME_CONSTANTS`."""
+    """Regressors that follow a covariate with a first-order lag, one for each of `CANDIDATE_LAG_TIME_CONSTANTS`."""
     varying = _varying_covariates(sightings, covariates)
     return [
         Regressor("lagging", (name,), constant=t)
@@ -340,7 +331,7 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
-    """Iterator over products of two regressors, such as two curves, or the sign of the face and a curve."""
+    """Iterator over products of two regressors that a search tries, such as the sign of the face times a curve."""
     extra = varying_column_names(sightings)
     names = _varying_covariates(sightings, (*MEMORYLESS_COVARIATES[:7], *extra, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     trackers = len(np.unique(sightings.instrument))

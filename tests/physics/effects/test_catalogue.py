@@ -119,7 +119,11 @@ def test_a_card_is_read_by_its_parts() -> None:
     card = CatalogueEntry.from_docstring(CARD)
     assert (card.title, card.cause_description, card.equation) == ("Cold", "it is cold", "Delta_d = c.")
     assert card.sections()[2] == (DOCSTRING_SECTIONS[2], "a stove.")
-    for broken in (CARD.replace("Cold: ", "Cold, "), CARD.replace("Similar", "Alike"), CARD.replace("Delta_d = c.\n", "")):
+    for broken in (
+        CARD.replace("Cold: ", "Cold, "),
+        CARD.replace("Similar", "Alike"),
+        CARD.replace("Delta_d = c.\n", ""),
+    ):
         with pytest.raises(ModelError, match=r"docstring"):
             CatalogueEntry.from_docstring(broken)
 

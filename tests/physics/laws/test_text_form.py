@@ -189,7 +189,7 @@ def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     assert law.has_coefficients_per_setup and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
     assert not parse_law("elevation", "exp(-station-time / 8 min)", recording).has_coefficients_per_setup
-    with pytest.raises(ModelError, match="applies to all set-ups, not to S2"):
+    with pytest.raises(ModelError, match="applies to all set-ups, not only to S2"):
         parse_law("elevation", "time, separately at each set-up", recording, stations=("S2",))
 
 
