@@ -139,7 +139,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         n_parameters = len(self.parameters)
         covariance_rows = self.parameter_covariance
         if covariance_rows and {len(covariance_rows), *map(len, covariance_rows)} != {n_parameters}:
-            raise ValueError(f"the covariance is not a square of {n_parameters} x {n_parameters} numbers")
+            raise ValueError(f"the covariance is not a matrix of {n_parameters} x {n_parameters} numbers")
         return self
 
     @field_serializer("criteria")
@@ -277,8 +277,8 @@ class Calibration(UncertaintyEntry, ResultFile):
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
         lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
-            undetermined = f"{len(self.undetermined)} combinations are not determined"
-            held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
+            undetermined = f"undetermined combinations: {len(self.undetermined)}"
+            held = f" ({int(self.is_fixed.sum())} fixed)" if self.is_fixed.any() else ""
             lines.append(f"{count} parameters{held}, {n_determined} determined by the readings; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:

@@ -134,7 +134,7 @@ def _fit_entry(propagation: DistanceErrorPropagation) -> FitEntry:
     redundant = propagation.adjustment.dof > 0 and expected_chi2 > 0
     status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.has_converged:
-        status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
+        status = "converged", "the last step changed no parameter by more than 1e-7 of its prior sigma"
     return FitEntry(
         chi2=chi2,
         dof=expected_chi2,
@@ -163,7 +163,7 @@ def _undetermined_entries(
             [list(estimate.undetermined_combinations)],
             recommend_measurements=recommend_measurements,
         )
-    names, advice = construction.instrument_parameter_names(instruments), "try the network method"
+    names, advice = construction.instrument_parameter_names(instruments), "calibrate with the method network"
     return tuple(
         UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=advice, measurement=advice)
         for d in estimate.undetermined_combinations

@@ -51,10 +51,12 @@ INSTRUMENT_CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
-        *text_columns(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
+        *text_columns(
+            **{"from": "the earlier calibration"}, to="the later calibration", above_all="parameters that differ"
+        ),
         Column("chi2", "weighted sum of squares of the differences", display_format=".1f"),
         Column("parameters", "degrees of freedom"),
-        Column("p_value", "p-value of such differences without a change", "p_value", title="p"),
+        Column("p_value", "p-value of the test that the instrument did not change", "p_value", title="p"),
     ),
 )
 PARAMETER_HISTORIES_TABLE = Table(
@@ -63,20 +65,20 @@ PARAMETER_HISTORIES_TABLE = Table(
     (
         *text_columns(parameter="name"),
         Column("last", "estimate of the last calibration", sigma_column="sigma_last"),
-        Column("sigma_last", "its standard deviation"),
-        *text_columns(unit="of all numbers of the row"),
+        Column("sigma_last", "standard deviation of this estimate"),
+        *text_columns(unit="unit of all numbers in the row"),
         Column("mean", "weighted mean of the estimates", n_digits=3),
         Column("spread", "standard deviation between calibrations, without estimation errors", n_digits=3),
-        Column("p_constant", "p-value of no change", "p_value"),
+        Column("p_constant", "p-value of the test that the parameter did not change", "p_value"),
     ),
 )
 CALIBRATION_FITS_TABLE = Table(
     "fits.csv",
-    "agreement of readings and model of each calibration",
+    "fit statistics of each calibration",
     (
         *text_columns(calibration="label"),
         Column("chi2", "weighted sum of squares", n_digits=3),
-        Column("degrees_of_freedom", "of the fit"),
+        Column("degrees_of_freedom", "degrees of freedom of the fit"),
         Column("sigma0", "standard deviation of unit weight", n_digits=3),
     ),
 )
@@ -162,7 +164,7 @@ class History(ResultFile):
         since, labels = self.change_since_first, self.labels
         return [
             f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
-            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
+            f"first to last calibration: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
@@ -191,7 +193,7 @@ class History(ResultFile):
             [
                 c.from_,
                 c.to,
-                names_text(c.changed_parameters) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
+                names_text(c.changed_parameters) or ("no single parameter" if c.p_value < FAMILY_WISE_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,

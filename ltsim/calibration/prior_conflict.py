@@ -28,7 +28,7 @@ prior."""
 MAX_WIDENED_PRIOR_FRACTION = 0.25
 """Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more priors
 are contradicted, the scale of all priors is wrong; `shrinkage` then estimates this scale."""
-CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves"
+CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves errors of"
 """Phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
 
 

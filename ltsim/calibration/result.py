@@ -252,7 +252,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
-        sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
+        sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check it"
     return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
 
 
@@ -279,17 +279,16 @@ def frame_text(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {names_text(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    definition = f"is {_datum_text(adjustment, first_station)}"
+    definition = f"are defined by {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {names_text(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.is_height_undetermined_target.all()):
-        return definition.removeprefix("is ")
+        return definition.removeprefix("are defined by ")
     if not control and not problem.difference_rows.names:
-        return (
-            f"{', x '.join([f'z is defined by the levels of {names_text(levelled)}', *zeros])}; the rest {definition}"
-        )
+        axes = ", x ".join([f"z is defined by the levels of {names_text(levelled)}", *zeros])
+        return f"{axes}; the other axes {definition}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
+    return f"{' and '.join([*points, *levels, *zeros])}; the remaining free motions {definition}"
 
 
 def _datum_text(adjustment: Adjustment, station: str) -> str:

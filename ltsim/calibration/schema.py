@@ -93,7 +93,7 @@ class ParameterEntry(Entry):
 
 
 class HarmonicEntry(Entry):
-    """Amplitude and phase of a harmonic, from a cosine and a sine parameter; no phase for an insignificant amplitude."""
+    """Amplitude and phase of a harmonic, from its cosine and sine parameters; the phase may be null."""
 
     name: str
     """Name of the harmonic: the common part of the names of both parameters."""
@@ -147,7 +147,7 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """Standard deviations of a frame that declared target coordinates define, from the residuals of these coordinates."""
+    """Standard deviations of a frame that declared target coordinates define, from residuals of these coordinates."""
 
     target_names: tuple[str, ...]
     """Names of the targets whose coordinates define the frame."""

@@ -1,4 +1,4 @@
-"""Shrinkage of a correction: instrument parameters to apply to readings, so that new points are not expected to become worse.
+"""Shrinkage of a correction: parameters to apply to readings, so that new points are not expected to become worse.
 
 The estimates and their covariance belong to the declared prior. The applied values may be smaller than the estimates:
 
@@ -7,9 +7,9 @@ The estimates and their covariance belong to the declared prior. The applied val
 * if the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * if the correction is expected to do harm under a plausible scale, the smallest plausible scale is used.
 
-Let u be the parameters in prior standard deviations, N the information of the readings, and b = N times the estimate
-from the readings alone. Under a prior of s times the declared standard deviations, b is normal with covariance N + s^2
-N N. Its likelihood does not depend on poses and targets and is the restricted likelihood of s (Patterson and Thompson,
+Let u be the parameters in prior standard deviations, N the information matrix of the readings, and b = N times the
+estimate from the readings alone. If the prior is scaled by s, b is normal with the covariance N + s^2 N N. Its
+likelihood does not depend on poses and targets and is the restricted likelihood of s (Patterson and Thompson,
 Biometrika 58 (1971) 545). With a prior from earlier calibrations, u is the deviation from the mean of the prior.
 Without a prior the scale is always estimated, and each combination of parameters is shrunk by the factor with the
 smallest expected error.
@@ -39,22 +39,18 @@ from ltsim.solve.design import to_dense
 CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Scales of the prior (factors on the declared standard deviations) that are tested, in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which the declared scale
-is rejected (likelihood ratio test)."""
+"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which this is rejected."""
 MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
 """Log-likelihood ratio of the most likely scale of the prior to another scale, up to which the other scale counts as
 plausible."""
 MAX_PRIOR_SCALE = 30.0
-"""Largest plausible scale of the prior. No instrument exceeds its whole specification by a larger factor, so that a
-larger misfit has another cause."""
+"""Largest plausible scale of the prior. A misfit that needs a larger one has another cause than the instrument."""
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
 """Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals without a parameter, above which this parameter is not applied.
-The value 2 is Akaike's penalty for one parameter."""
+"""Decrease of the sum of squared held-out residuals without a parameter, above which it is not applied (Akaike: 2)."""
 MAX_DENSE_UNKNOWNS = 500
-"""Largest number of unknowns for which a dense inverse or an orthonormal basis is computed, because of processor
-time. It limits the prediction of held-out targets and the Gram matrices of simulated recordings."""
+"""Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
 """Smallest number of held-out targets with predicted readings for which the prediction without a parameter is
 tested."""
@@ -203,16 +199,16 @@ class ScaledPrior:
         factor, limits = f"{self.most_likely_scale:.2g} times", f"({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
-            why, cause = ", which no instrument has", "another cause explains the misfit"
+            why, cause = ", which no instrument has", "another cause must explain the misfit"
             if self.most_likely_scale <= MAX_PRIOR_SCALE:
                 why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
-            need = f"the readings require parameters {factor} the declared priors"
-            return f"{need}{why}: {cause}; no correction is applied"
+            need = f"the readings require parameters {factor} as large as the declared prior"
+            return f"{need}{why}; no correction is applied, because {cause}"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors: the correction uses sigmas {factor} as large {limits}"
+            return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half"
-        return f"without a prior, sigmas {factor} as large as the usual ones are most likely {limits}; {phrase}"
+        phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
+        return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
 
     def estimate(self, prior_scale: float) -> Floats:
         """Estimate (parameters,) in prior sigmas for a prior whose sigmas are `prior_scale` times the declared ones."""
@@ -234,9 +230,11 @@ class ScaledPrior:
             return full, ""
         share = float(np.sqrt((cautious @ point_error_matrix @ cautious) / (full @ point_error_matrix @ full)))
         if share < MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO:
-            return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
-        limit = "more is likely to increase the errors of new points"
-        return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
+            return np.zeros_like(
+                full
+            ), "no correction is applied, because it would probably increase the errors of new points"
+        limit = "more would probably increase the errors of new points"
+        return cautious, f"only {100 * share:.0f} % of the correction is applied, because {limit}"
 
     def point_errors(
         self, point_error_matrix: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
@@ -253,7 +251,7 @@ class ScaledPrior:
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
-    """Rms error [m] of the measured points due to noise with the standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
+    """Rms error [m] of measured points due to noise with standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
     is_complete = recording.is_measured.all(axis=1)
     if not is_complete.any():
         return 0.0
@@ -385,7 +383,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design matrix and residuals (rows,) after elimination of the coordinates with the design matrix `target_design` (rows, 3)."""
+    """Design matrix and residuals (rows,) after elimination of coordinates with the design `target_design`."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 

@@ -49,18 +49,18 @@ class ReportedUncertainty(Protocol):
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
-    """Sentences for users on the standard deviations of a result: noise, factor, errors that they do or do not include."""
+    """Sentences for users on the standard deviations of a result: noise, factor, errors that they do not include."""
     sentences = [f"Noise of the readings (one sigma): {result.noise_text}."] if result.noise_text else []
     if result.uncertainty_factor > 1.0:
-        model = "the model" if result.constants_included else "the model without the instrument's constants"
+        model = "the model" if result.constants_included else "the model without instrument constants"
         sentences.append(
             f"The readings contradict {model}: all standard deviations are multiplied by sigma0 = "
             f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
-            "The standard deviations do not include errors of the instrument: its constants were not estimated. Use "
-            "ltsim calibrate, or declare the instrument corrected."
+            "The standard deviations do not include errors of the instrument, because the instrument constants were "
+            "not estimated. Use ltsim calibrate, or declare the instrument corrected."
         )
     if result.air_text:
         sentences.append(
@@ -73,7 +73,7 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
             for error in result.hidden_errors
         )
         sentences.append(
-            f"The readings do not show the following errors of the targets, and the standard deviations do not include "
-            f"them: {sizes}."
+            f"The following errors displace the targets without changing the readings, and the standard deviations do "
+            f"not include them: {sizes}."
         )
     return sentences

@@ -85,8 +85,8 @@ def calibrate(
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and
-        constants such as `law=visit` in the effect's units; the readings determine all other constants. Laws have the
+        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and shape
+        parameters such as `law=visit` in the effect's units; the readings determine those not given. Laws have the
         form that a diagnosis reports, `vertical index ~ time:S3`. Several can be given. For method `network` only.
     advise : bool
         True to report the further measurements that would determine the undetermined combinations.
@@ -171,7 +171,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets and shape parameters, or a law."""
+    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets, shape parameters, or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -189,7 +189,9 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             listed = ", ".join(recording.stations)
             raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or NAME=VALUE")
     if is_law and constants:
-        raise ModelError(f"'{text}': the constants of a law belong in its text and cannot be given separately")
+        raise ModelError(
+            f"'{text}': the constants of a law belong in the text of the law and cannot be given separately"
+        )
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed_names = {kind for kind, named in places.items() if named} | set(constants)

@@ -202,7 +202,7 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
         assert one.arrays.is_prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
-        assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
+        assert sum("leaves errors of 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
         found.append((one.estimates[:, scale] - 12e-6) / one.sigma[:, scale])
     assert np.sqrt(np.mean(np.square(found))) < 1.8

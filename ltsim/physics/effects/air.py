@@ -56,8 +56,8 @@ def air_point_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
 def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
     """Text for users with the uncertainty of the air, and with the errors of a point at `max_range` [m] that follow."""
     return (
-        f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
-        f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "
+        f"errors of the air (one sigma: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
+        f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3; "
         f"at {max_range:.0f} m {air_point_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
-        f"{air_point_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
+        f"{air_point_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam)"
     )
