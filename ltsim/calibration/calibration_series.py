@@ -207,7 +207,7 @@ class CalibrationSeries(ValueEquality):
             covariance[i, :, i] += pull[i] @ remaining[i]
         return covariance
 
-    def change(self, earlier_index: int, later_index: int) -> ChangeEntry:
+    def change_between(self, earlier_index: int, later_index: int) -> ChangeEntry:
         """Change between two calibrations of the series: later minus earlier estimates, with p-values.
 
         `earlier_index` and `later_index` count from 0. The changed parameters are selected by Holm's procedure at the
@@ -242,9 +242,9 @@ class CalibrationSeries(ValueEquality):
         """Fraction (parameters,) by which the readings reduce the prior variance, averaged over the calibrations."""
         return 1.0 - np.mean([np.diag(e.posterior_covariance) for e in self._likelihood_information], axis=0)
 
-    def changes(self) -> list[ChangeEntry]:
+    def successive_changes(self) -> list[ChangeEntry]:
         """Changes between each calibration and the previous one."""
-        return [self.change(i, i + 1) for i in range(len(self) - 1)]
+        return [self.change_between(i, i + 1) for i in range(len(self) - 1)]
 
     def constancy_test(self, parameter_index: int | None = None) -> ChiSquareEntry:
         """Chi-square test that a parameter is equal in all calibrations.

@@ -20,7 +20,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
-MIN_STEPS_FOR_TEST = 3
+MIN_STEPS_FOR_EVENT_TEST = 3
 """Smallest number of steps (changes between successive calibrations) for which events are tested. The t-test then
 has two degrees of freedom."""
 MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES = 5
@@ -53,9 +53,9 @@ class EventEntry(Entry):
     """p-value of the change, corrected for the number of changes and parameters."""
 
 
-def has_enough_steps(series: CalibrationSeries) -> bool:
-    """True if a series has enough changes between calibrations (`MIN_STEPS_FOR_TEST`) to test them for events."""
-    return len(series) > MIN_STEPS_FOR_TEST
+def has_enough_steps_for_event_test(series: CalibrationSeries) -> bool:
+    """True if a series has enough changes between calibrations (`MIN_STEPS_FOR_EVENT_TEST`) to test them for events."""
+    return len(series) > MIN_STEPS_FOR_EVENT_TEST
 
 
 def significant_parameter_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
@@ -63,9 +63,9 @@ def significant_parameter_steps(series: CalibrationSeries) -> tuple[EventEntry, 
 
     p-values are corrected for the number of changes and parameters (Bonferroni).
     """
-    if not has_enough_steps(series):
+    if not has_enough_steps_for_event_test(series):
         return ()
-    steps = [change.parameters for change in series.changes()]
+    steps = [change.parameters for change in series.successive_changes()]
     difference, sigma = (
         np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
     )
@@ -107,7 +107,7 @@ def _significant_steps_of(
     """
     is_usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
-    while is_usual.sum() > MIN_STEPS_FOR_TEST - 1:
+    while is_usual.sum() > MIN_STEPS_FOR_EVENT_TEST - 1:
         steps = np.flatnonzero(is_usual)
         judged = [_step_p_value(difference, sigma, relative_durations, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))

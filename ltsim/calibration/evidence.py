@@ -33,7 +33,7 @@ LOG_PRIOR_OF_EFFECT_SIZES = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_E
 MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL = 100
 """Largest number of array entries for which one NumPy call computes a log-sum-exp. For larger arrays several
 vectorised calls are faster."""
-_COSINE_PARAMETER_NAME = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
+_COSINE_NAME_PATTERN = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 """Regular expression of the names of cosine parameters, such as ``azimuth-eccentricity-cos`` and ``J1.eY_cos2``
 (order 2)."""
 
@@ -202,7 +202,7 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Pairs of a cosine and a sine parameter: name of the harmonic, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
-        match = _COSINE_PARAMETER_NAME.match(name)
+        match = _COSINE_NAME_PATTERN.match(name)
         if match:
             sine = f"{match['front']}sin{match['order']}"
             if sine in names:

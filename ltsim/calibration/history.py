@@ -136,9 +136,9 @@ class History(ResultFile):
             parameters=tuple(_parameter_history(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
             constancy_test=series.constancy_test(),
-            changes=tuple(series.changes()),
+            changes=tuple(series.successive_changes()),
             events=significant_parameter_steps(series),
-            change_since_first=series.change(0, len(series) - 1),
+            change_since_first=series.change_between(0, len(series) - 1),
         )
         result._series = series
         return result

@@ -15,7 +15,7 @@ from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, RecordError, unknown_name_error
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.model.construction import GeometricErrorModel, all_parameter_names
+from ltsim.physics.model.construction import GeometricErrorModel, all_instrument_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
@@ -212,7 +212,7 @@ def check_prior_names(recording: Recording, construction: GeometricErrorModel) -
     """Check that the set-up declares priors only for parameters of `construction`; raises InputError otherwise."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
-    parameter_names = {*construction.parameter_names, *all_parameter_names()}
+    parameter_names = {*construction.parameter_names, *all_instrument_parameter_names()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
             if name not in parameter_names:

@@ -210,7 +210,7 @@ class ScaledPrior:
         phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
         return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
 
-    def estimate(self, prior_scale: float) -> Floats:
+    def estimate_at_scale(self, prior_scale: float) -> Floats:
         """Estimate (parameters,) in prior sigmas for a prior whose sigmas are `prior_scale` times the declared ones."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
@@ -223,8 +223,8 @@ class ScaledPrior:
         if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
         full, cautious = (
-            prior_mean + self.estimate(self.scale_of_applied_values),
-            prior_mean + self.estimate(self.plausible_scale_limits[0]),
+            prior_mean + self.estimate_at_scale(self.scale_of_applied_values),
+            prior_mean + self.estimate_at_scale(self.plausible_scale_limits[0]),
         )
         if full @ point_error_matrix @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
@@ -241,7 +241,7 @@ class ScaledPrior:
     ) -> tuple[float, float]:
         """Expected rms errors [m] of a new point due to instrument errors: uncorrected, and with the applied values."""
         scale = self.scale_of_applied_values
-        posterior_mean = prior_mean + self.estimate(scale)
+        posterior_mean = prior_mean + self.estimate_at_scale(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         remaining_variance = float(np.sum(spread * point_error_matrix))
         bias = posterior_mean - applied_values

@@ -128,7 +128,7 @@ def log_restricted_likelihood(adjustment: Adjustment) -> float:
     _, log_determinant = np.linalg.slogdet(to_dense(normal_matrix))
     log_sigmas = float(np.log(problem.sigma[problem.is_used_reading]).sum())
     for errors in problem.model.centring_errors:
-        log_sigmas += len(errors.parameters) * float(np.log(errors.sigma))
+        log_sigmas += len(errors.parameters) * float(np.log(errors.displacement_sigma))
     return -0.5 * (solution.sum_of_squares + float(log_determinant)) - log_sigmas
 
 

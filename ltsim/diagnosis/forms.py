@@ -26,7 +26,7 @@ from ltsim.diagnosis.switches import (
     n_tried_waves_of_same_covariate,
     switched_forms,
 )
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
@@ -138,7 +138,7 @@ def _functional_forms(
         spreads = np.stack([scaled.plausible_sizes for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
         candidates.append((share, scales[index_of_largest(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
+    return [Hypothesis(best, share, value + share, equivalent_effect_name(best)) for share, best, value in candidates]
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
@@ -196,7 +196,7 @@ def _forms_at_single_set_ups(
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     hypotheses = [
-        Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
+        Hypothesis(x, log_prior, float(value) + log_prior, equivalent_effect_name(x))
         for x, value in zip(laws, log_evidences, strict=True)
     ]
     with_ratios = [
@@ -249,7 +249,9 @@ def _piecewise_forms(
     )[0]
     log_prior -= n_selected * log_price
     return [
-        Hypothesis(refined, log_prior, max(best + n_selected * log_price, value) + log_prior, catalogue_name(refined))
+        Hypothesis(
+            refined, log_prior, max(best + n_selected * log_price, value) + log_prior, equivalent_effect_name(refined)
+        )
     ]
 
 

@@ -13,7 +13,7 @@ from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT, index_of_largest
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.columns import N_FACTOR_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import ODDS_PER_OPERATOR
@@ -75,7 +75,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
     if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT:
         return []
     refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
-    products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
+    products = [Hypothesis(refined, prior, value + prior, equivalent_effect_name(refined))]
     if law.regressor.kind == "switch":
         weight = next(f for f in refined.regressor.factors if f.kind != "switch")
         factor = (

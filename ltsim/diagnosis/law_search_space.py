@@ -34,7 +34,7 @@ from ltsim.physics.laws.regressor_library import (
     N_OPERATORS_BY_REGRESSOR_KIND,
     ODDS_PER_OPERATOR,
     candidate_regressors,
-    is_admissible,
+    is_physically_possible,
     per_setup_regressors,
     regressors_for_target_groups,
     wave_regressors,
@@ -215,7 +215,8 @@ class _LawBatchBuilder:
                 admissible_regressors = [
                     d
                     for d in regressors
-                    if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_tried_for(kind, d))
+                    if is_physically_possible(kind, d, self._sightings)
+                    and (name != "wave" or _is_wave_tried_for(kind, d))
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses

@@ -45,7 +45,7 @@ from ltsim.diagnosis.shape_constants import (
     integrate_over_shapes,
     region_centre_estimates,
 )
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 
@@ -249,7 +249,7 @@ class Searcher:
                     with_steps_and_switches=not self.uses_fewer_evaluations,
                 )
             else:
-                entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, catalogue_name(law)))
+                entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, equivalent_effect_name(law)))
         return entries
 
     def estimates(

@@ -395,6 +395,6 @@ class EffectEntry(PlacedEffect):
     def from_effect(cls, source: Effect | SizedEffect) -> Self:
         """Entry of an effect object; its parameters are drawn if the object has no sizes."""
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
-        effect, sizes = sized.effect, dict(sized.display_values)
+        effect, sizes = sized.effect, dict(sized.parameter_values_in_display_units)
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=displayed_shape_parameters(effect))

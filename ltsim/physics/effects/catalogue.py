@@ -28,9 +28,9 @@ from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
 """Name of the group of entry points by which installed packages provide effects."""
-BUILTIN_PROVIDER = "ltsim"
+BUILTIN_PROVIDER_NAME = "ltsim"
 """Name of the provider of the built-in effects, as the catalogue shows it."""
-SESSION_PROVIDER = "this session"
+SESSION_PROVIDER_NAME = "this session"
 """Name of the provider, as the catalogue shows it, of effects that the user registered in the running Python
 session."""
 PACKAGE_EFFECTS_HEADING = "installed"
@@ -122,8 +122,8 @@ class ListedEffect:
     group: str
     """Heading of the group in the catalogue."""
     provider: str
-    """Name and version of the package that provides the effect; `BUILTIN_PROVIDER` for a built-in effect,
-    `SESSION_PROVIDER` for an effect registered in this Python session."""
+    """Name and version of the package that provides the effect; `BUILTIN_PROVIDER_NAME` for a built-in effect,
+    `SESSION_PROVIDER_NAME` for an effect registered in this Python session."""
 
 
 def installed_entry_points() -> list[EntryPoint]:
@@ -149,7 +149,7 @@ class Catalogue(Sequence[type[Effect]]):
     ) -> None:
         self._find_entry_points = find_entry_points
         self._builtin_effects = {
-            kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER)
+            kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER_NAME)
             for group, kinds in built_in_effects.items()
             for kind in kinds
         }
@@ -182,7 +182,7 @@ class Catalogue(Sequence[type[Effect]]):
         if why := invalid_effect_reason(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
         earlier = self.entries.get(effect_class.name)
-        if earlier is not None and earlier.group != SESSION_PROVIDER:
+        if earlier is not None and earlier.group != SESSION_PROVIDER_NAME:
             raise ModelError(f"{earlier.provider} already has an effect '{effect_class.name}'; use another name")
         try:
             catalogue_entry(effect_class)
@@ -192,14 +192,14 @@ class Catalogue(Sequence[type[Effect]]):
             effect_class.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {
             **self.entries,
-            effect_class.name: ListedEffect(effect_class, SESSION_PROVIDER, SESSION_PROVIDER),
+            effect_class.name: ListedEffect(effect_class, SESSION_PROVIDER_NAME, SESSION_PROVIDER_NAME),
         }
         return effect_class
 
     @property
     def session_effects(self) -> tuple[type[Effect], ...]:
         """Effect classes that were registered in the running Python session; other processes do not know them."""
-        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER)
+        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER_NAME)
 
     def find(self, name: str) -> type[Effect]:
         """Class of the effect with the name `name`; raises ModelError with the most similar names if there is none."""

@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.results import Result, Table, model_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, DOCSTRING_SECTIONS, ListedEffect, catalogue_entry
+from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER_NAME, DOCSTRING_SECTIONS, ListedEffect, catalogue_entry
 from ltsim.physics.effects.effect import Parameter, ShapeParameter
 
 
@@ -159,7 +159,7 @@ class EffectDescription(Description):
     @property
     def external_provider(self) -> str:
         """Name and version of the package that provides the effect; empty for a built-in effect of ltsim."""
-        return "" if self.provider == BUILTIN_PROVIDER else self.provider
+        return "" if self.provider == BUILTIN_PROVIDER_NAME else self.provider
 
     @property
     def observables_text(self) -> str:

@@ -25,7 +25,7 @@ class SizedEffect:
 
     effect: AnyEffect
     """Effect without values of its parameters."""
-    display_values: Mapping[str, float]
+    parameter_values_in_display_units: Mapping[str, float]
     """Values of the parameters by name, in their display units."""
 
 

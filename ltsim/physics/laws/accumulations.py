@@ -42,7 +42,7 @@ them differs from one of them by less than a factor of two."""
 CANDIDATE_DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Decay constants that a search tries for accumulated quantities: numbers of pointings in which they decay by a
 factor of e."""
-FIXED_COUNT_INPUTS = ("station-time", "count")
+FIXED_COUNT_RESET_COVARIATES = ("station-time", "count")
 """Names of the covariates that a search accumulates with a reset after a fixed number of pointings."""
 CANDIDATE_POINTINGS_BETWEEN_RESETS = range(3, 31)
 """Numbers of pointings between two resets of an accumulated quantity that a search tries."""
@@ -67,7 +67,7 @@ def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> 
         (name, how, k)
         for name in inputs
         for how, k in functions
-        if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
+        if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_RESET_COVARIATES
     ]
     _cache_accumulations(sightings, states)
     min_spans = {name: SQRT_MACHINE_EPSILON * float(np.ptp(sightings.covariate_values[name])) for name in inputs}

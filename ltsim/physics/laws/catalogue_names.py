@@ -28,7 +28,7 @@ MIN_INTERPOLATION_PERIODS_PER_TURN = 20.0
 the encoder. With fewer periods it is a graduation harmonic."""
 
 
-def catalogue_name(law: EmpiricalLaw) -> str:
+def equivalent_effect_name(law: EmpiricalLaw) -> str:
     """Name of the catalogue effect that is equivalent to a law; `unknown` if there is none."""
     regressor, response_name = law.regressor, law.response.name
     if (

@@ -14,7 +14,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
 from ltsim.physics.laws.accumulations import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES, N_MODES_OF_FINER_CURVE, indicator_columns
 from ltsim.physics.laws.formula_regressors import formula_regressors
-from ltsim.physics.laws.places import MIN_GROUP_SIZE
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressor_library import (
     CANDIDATE_LAG_TIME_CONSTANTS,
     MAX_SEPARATE_AMOUNTS,
@@ -115,11 +115,11 @@ class EmpiricalLaw(CandidateEffect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the three raw readings of n pointings per unit of each of the law's k coefficients."""
         _, response_design = RESPONSE_AND_DESIGN_BY_NAME[self.response.name]
-        derivatives = self.change_by_shared_coefficient(response_design(sightings), sightings)
+        derivatives = self.change_by_common_coefficient(response_design(sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
-    def change_by_shared_coefficient(
+    def change_by_common_coefficient(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
         """Change (r, ..., 1) of the readings of r pointings per unit of the common coefficient of all components.
@@ -266,7 +266,7 @@ class EmpiricalLaw(CandidateEffect):
         if regressor.kind == "smooth":
             n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_FACTOR_CURVE_MODES else N_CURVE_MODES
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
-        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_AMOUNTS and self.response.changed_part == "target":
+        if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_SEPARATE_AMOUNTS and self.response.changed_part == "target":
             per_target = regressor.with_amount_per_target(self.targets)
             forms["members"] = [replace(self, regressor=per_target, length_scale_index=0)]
         if regressor.kind == "wave":

@@ -11,12 +11,12 @@ from scipy.sparse.csgraph import connected_components
 from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
-NEIGHBOUR_GROUP_SIZES = (3, 6)
+CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest neighbours with which a target forms a group for which a search tries a law."""
-MIN_GROUP_SIZE = 3
+MIN_GROUP_TARGETS = 3
 """Smallest number of targets in a group, and outside the group, for which a search tries a law of the group. A law
 with a separate value for each set-up is tried only with more set-ups than this number."""
-HEIGHT_WEIGHT = 5.0
+CLUSTERING_HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of
 the hall counts as much as an angle of 60 deg between the normals of two nests."""
 
@@ -64,19 +64,19 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
     and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
     """
-    if len(sightings.target_points) < 2 * MIN_GROUP_SIZE:
+    if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
     scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     clusters = set()
     for features in (
         sightings.target_points,
         np.hstack([sightings.target_points, scaled_normals]),
-        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, scaled_normals]),
+        np.hstack([sightings.target_points[:, 2:] * CLUSTERING_HEIGHT_WEIGHT, scaled_normals]),
     ):
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        clusters |= {tuple(b) for b in tree if MIN_GROUP_SIZE <= len(b) <= len(features) - MIN_GROUP_SIZE}
+        clusters |= {tuple(b) for b in tree if MIN_GROUP_TARGETS <= len(b) <= len(features) - MIN_GROUP_TARGETS}
     return clusters
 
 
@@ -86,7 +86,7 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
         np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
         for point in sightings.target_points
     ]
-    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in CANDIDATE_NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
 def groups_connected_by_lengths(
@@ -105,7 +105,7 @@ def groups_connected_by_lengths(
         sp.coo_array((np.ones(len(index_pairs)), (first, second)), (count, count)), directed=False
     )
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
-    return {group for group in members if MIN_GROUP_SIZE <= len(group) <= count - MIN_GROUP_SIZE}
+    return {group for group in members if MIN_GROUP_TARGETS <= len(group) <= count - MIN_GROUP_TARGETS}
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:

@@ -21,7 +21,7 @@ from ltsim.physics.laws.accumulations import (
     candidate_latch_keys,
 )
 from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES
-from ltsim.physics.laws.places import MIN_GROUP_SIZE
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
@@ -108,7 +108,7 @@ CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 MAX_SEPARATE_AMOUNTS = 12
 """Largest number of set-ups, instruments or targets with separate values in a law (more would fit any errors), and
 number of times at which a search tries a step."""
-MAX_SEPARATE_TARGET_VALUES = 60
+MAX_SEPARATE_TARGET_AMOUNTS = 60
 """Largest number of targets for which a search tries a law with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
 """Spacing of the frequencies of the waves that a search tries, in cycles over the span of the covariate."""
@@ -159,7 +159,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     return [n for n in asked if np.ptp(sightings.covariate_values[n]) > floor[n]]
 
 
-def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
+def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
     """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return changed_part == "reading" or all(
@@ -192,7 +192,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> 
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*per_setup_regressors(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*per_setup_regressors(s, MIN_GROUP_TARGETS + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -316,7 +316,7 @@ def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regresso
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     """List with one regressor, which has a separate value for each previous target; empty for too many targets."""
     n_targets = len(sightings.target_names)
-    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_VALUES else []
+    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_AMOUNTS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:

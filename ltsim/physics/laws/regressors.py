@@ -142,10 +142,10 @@ class Regressor:
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
             return columns
-        columns = columns - columns[self._is_in_reference_state(sightings)].mean(axis=0)
+        columns = columns - columns[self._is_at_declared_coordinates(sightings)].mean(axis=0)
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
-    def _is_in_reference_state(self, sightings: Sightings) -> Bools:
+    def _is_at_declared_coordinates(self, sightings: Sightings) -> Bools:
         """Mask (n,) of the pointings at which moving targets have their declared coordinates (see `columns`)."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)

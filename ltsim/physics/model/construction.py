@@ -208,9 +208,9 @@ COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4
 """Suffixes of the names of the coefficients in the error function of an axis: constant, sines and cosines."""
 DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 """Names of the six error motions of an axis in the Denavit-Hartenberg model: rotations (e) and translations (d)."""
-MAX_HARMONIC_ORDER = 4
+MAX_DH_HARMONIC_ORDER = 4
 """Highest order of the harmonics in the errors of the azimuth and elevation axes of the Denavit-Hartenberg model."""
-MAX_POLYNOMIAL_DEGREE = 9
+MAX_DH_POLYNOMIAL_DEGREE = 9
 """Highest degree of the polynomials of the range in the Denavit-Hartenberg model."""
 
 SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
@@ -227,7 +227,7 @@ SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
 """Quantity of the specification that limits a Denavit-Hartenberg coefficient, by name. These coefficients are
 equivalent to the misalignments of a tracker with the laser source in the head."""
 
-_EQUAL_CONTRIBUTION_RANGE = 5.0
+_EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
@@ -254,7 +254,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     waves = range(2 * max_order + 1)
     rows = [(key, COEFFICIENT_SUFFIXES[k], _axis_error_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
-        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_CONTRIBUTION_RANGE**-k)
+        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_PRIOR_CONTRIBUTION_RANGE**-k)
         for motion in DH_ERROR_MOTIONS
         for k in range(degree + 1)
     ]
@@ -345,7 +345,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
         return CONSTRUCTION_FACTORY_BY_NAME[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
-    limits = (("harmonics", max_order, MAX_HARMONIC_ORDER), ("degree", degree, MAX_POLYNOMIAL_DEGREE))
+    limits = (("harmonics", max_order, MAX_DH_HARMONIC_ORDER), ("degree", degree, MAX_DH_POLYNOMIAL_DEGREE))
     for what, order, highest in limits:
         if order is not None and not 0 <= order <= highest:
             raise ModelError(f"{what} is {order}, expected 0 to {highest}")
@@ -368,16 +368,16 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Geometr
         if not front.startswith("T.") and end in COEFFICIENT_SUFFIXES
     ]
     powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
-    return dh_construction(max(orders, default=2), min(max(powers, default=2), MAX_POLYNOMIAL_DEGREE))
+    return dh_construction(max(orders, default=2), min(max(powers, default=2), MAX_DH_POLYNOMIAL_DEGREE))
 
 
 @cache
-def all_parameter_names() -> frozenset[str]:
+def all_instrument_parameter_names() -> frozenset[str]:
     """Names of the parameters of all geometric error models, with the highest orders of `dh`."""
     constructions = (
         misalignment_construction(),
         steering_mirror_construction(),
-        dh_construction(MAX_HARMONIC_ORDER, MAX_POLYNOMIAL_DEGREE),
+        dh_construction(MAX_DH_HARMONIC_ORDER, MAX_DH_POLYNOMIAL_DEGREE),
     )
     return frozenset(name for construction_ in constructions for name in construction_.parameter_names)
 

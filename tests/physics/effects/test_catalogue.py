@@ -18,7 +18,7 @@ from ltsim.physics.effects import EFFECT_CLASSES_BY_GROUP
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.beam_tilt import BeamTilt
 from ltsim.physics.effects.catalogue import (
-    BUILTIN_PROVIDER,
+    BUILTIN_PROVIDER_NAME,
     DOCSTRING_SECTIONS,
     PACKAGE_EFFECTS_HEADING,
     Catalogue,
@@ -69,7 +69,7 @@ def test_installed_effects_follow_the_shipped_ones_by_name(strange: ModuleType) 
     assert [kind.name for kind in found] == ["beam-tilt", "backlash", "cold", "warmth"]
     assert (found.entries["cold"].group, found.entries["backlash"].provider) == (
         PACKAGE_EFFECTS_HEADING,
-        BUILTIN_PROVIDER,
+        BUILTIN_PROVIDER_NAME,
     )
     assert found.find("warmth") is found[-1]
 
