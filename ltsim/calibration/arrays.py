@@ -171,7 +171,7 @@ def _parameter_vector_indices(
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the parameters of a file in the vector of the parameters of all instruments.
+    """Indices of a file's parameters in the vector of the parameters of all instruments.
 
     Raises RecordError for unknown names, unknown units and repeated parameters.
     """

@@ -317,7 +317,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     def applied_reflectors(self) -> dict[str, Floats]:
         """Parameters (14,) [SI] of incidence errors, by the reflector's name, that a correction removes from readings.
 
-        They are removed together with the instrument parameters, or not at all.
+        The incidence errors are removed together with the instrument parameters, or not at all.
         """
         if not np.any(self.applied_values):
             return {}
@@ -334,8 +334,8 @@ class Calibration(UncertaintyEntry, ResultFile):
     def applied_values_for(self, recording: Recording) -> Floats:
         """Parameters [SI], (parameters,) or (pointings, parameters), that a correction removes from a recording.
 
-        Parameters of a single instrument apply to any recording, those of several instruments to instruments of the
-        same names.
+        Parameters of a single instrument apply to any recording. Parameters of several instruments apply to the
+        instruments with their names.
 
         Raises
         ------

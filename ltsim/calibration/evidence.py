@@ -45,8 +45,7 @@ class LikelihoodInformation:
     posterior_covariance: Floats
     """Covariance of the estimates, shape (parameters, parameters)."""
     information_matrix: Floats
-    """Information matrix of the readings (precision of the posterior minus that of the prior), shape (parameters,
-    parameters).
+    """Information matrix of the readings (posterior minus prior precision), shape (parameters, parameters).
 
     Combinations whose prior variance the readings hardly reduce (gain below `MAX_UNINFORMATIVE_GAIN`) have zero
     information.

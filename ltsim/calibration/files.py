@@ -77,7 +77,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
-    """Check that names and units of reflector parameters are those of `smr-incidence`; raises RecordError otherwise."""
+    """Check of names and units of reflector parameters against the effect `smr-incidence`; raises RecordError."""
     unit_by_name = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in calibration.reflectors:
         for row in entry.parameters:

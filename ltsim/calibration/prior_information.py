@@ -20,8 +20,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 NO_PRIOR_SIGMA_FACTOR = 1000.0
-"""Factor on the prior standard deviations of the set-up for a calibration without a prior. These are then 10 to 20
-mm and 15 mrad, for which the linearisation is still valid."""
+"""Factor on the prior standard deviations of the set-up for a calibration without a prior. The resulting standard
+deviations are 10 to 20 mm and 15 mrad, for which the linearisation is still valid."""
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,8 @@ class ParameterSelection:
     earlier_calibration_prior: EarlierCalibrationPrior | None = None
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
-    """True for a calibration without a prior: the prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
-    those of the recording's `setup.toml` (declared or default)."""
+    """True for a calibration without a prior: the prior standard deviations of the recording's `setup.toml`
+    (declared or default) are then multiplied by `NO_PRIOR_SIGMA_FACTOR`."""
 
     def prior_of(self, recording: Recording, construction: GeometricErrorModel) -> ParameterPrior:
         """Prior of a recording's instruments with this selection; raises ModelError or InputError for wrong names."""

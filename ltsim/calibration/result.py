@@ -313,7 +313,7 @@ def _has_declared_datum_points(adjustment: Adjustment) -> bool:
 def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
     """Undetermined combinations of parameters of each instrument.
 
-    `covariance` and `prior_sigma` are those of the parameters of all instruments.
+    `covariance` and `prior_sigma` belong to the parameters of all instruments.
     """
     n_instruments, n_parameters = prior_sigma.shape
     if not n_parameters:

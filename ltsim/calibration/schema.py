@@ -80,9 +80,9 @@ class ParameterEntry(Entry):
     prior_rejected: bool = False
     """True if the readings contradict the prior, so that the estimate follows the readings."""
     applied_value: OptionalFloat = None
-    """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. It is
-    smaller than `value` if this is expected to make points more accurate. For a parameter that the readings hardly
-    determine it is the prior mean."""
+    """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. A smaller
+    value than `value` is applied if it is expected to make points more accurate. For a parameter that the readings
+    hardly determine, the prior mean is applied."""
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 

@@ -15,7 +15,7 @@ CANDIDATE_TRANSITION_WIDTHS = (0.15, 0.5)
 
 
 def _point_heights(sightings: Sightings) -> Floats:
-    """Heights (T + S,) [m] in the network frame of the T targets, followed by those of the S stations."""
+    """Heights (T + S,) [m] in the network frame of the T targets, followed by the heights of the S stations."""
     return np.concatenate([sightings.target_points[:, 2], sightings.station_positions[:, 2]])
 
 
@@ -24,18 +24,21 @@ class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
     The temperature excess at the height z is T(z) = D / (1 + exp(-(z - height) / width)). Here z counts from the lowest
-    target or station, and D is the temperature difference between warm and cool air. Along the path from the station, s
-    = 0 to d, the corrections to the left and upward are (D_t, D_v) = integral of (d - s) grad_perp n ds, and Delta_d =
-    -integral of (n - n_sensor) ds, with the refractive index n, its gradient grad_perp n across the beam, and its value
-    n_sensor at the sensor. Residuals show only the curvature of the profile: targets in the layer are measured too near
-    and too high.
+    target or station, and D is the temperature difference between warm and cool air. The corrections (true value minus
+    reading) are integrals along the path from the station, s = 0 to d: to the left and upward (D_t, D_v) = integral of
+    (d - s) grad_perp n ds, of the range Delta_d = -integral of (n - n_sensor) ds. Here n is the refractive index,
+    grad_perp n its gradient across the beam, and n_sensor its value at the weather sensor. Residuals show only the
+    curvature of the profile: targets in the layer are measured too near and too high.
 
-    Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces. Similar to:
-    elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured first. Separate
-    by: a measured temperature profile; another time of day; stations at different heights. Validity: temperature
-    differences of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z axis.
+    Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
+    Similar to: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured
+    first.
+    Separate by: a measured temperature profile; another time of day; stations at different heights.
+    Validity: temperature differences of 1 to 10 K; the weather sensor is below the layer; height and width along the
+    network's z axis.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-    doi:10.1364/AO.35.001566 (index). Validation: first order validated against the integrated ray.
+    doi:10.1364/AO.35.001566 (index).
+    Validation: first order validated against the integrated ray.
     """
 
     height: float = 4.0

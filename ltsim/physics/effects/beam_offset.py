@@ -5,9 +5,10 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class BeamOffset(ChainErrorEffect):
     """Beam offset: the beam does not pass through the intersection of the axes.
 
-    The corrections are constant lengths across the beam: D_t = f b_y to the left and D_v = f b_z upward, with the
-    offset (b_y, b_z) of the beam and f = +1 in face 1 and -1 in face 2. The corrections of the angles are therefore
-    proportional to 1/d at the range d, largest for the nearest targets. All change their sign with the face.
+    The corrections (true value minus reading) are constant lengths across the beam: D_t = f b_y to the left and D_v = f
+    b_z upward. Here (b_y, b_z) is the offset of the beam, and f is +1 in face 1 and -1 in face 2. The corrections of
+    the angles are therefore proportional to 1/d at the range d, largest for the nearest targets. All change their sign
+    with the face.
 
     Size: under 3 um in a good tracker, 20 to 100 um after a transport.
     Similar to: detector-offset, exactly; beam-tilt (correlation 0.46 in one face, 0.95 in two) and vertical-index

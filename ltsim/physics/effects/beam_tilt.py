@@ -5,9 +5,10 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class BeamTilt(ChainErrorEffect):
     """Beam tilt: the beam is not perpendicular to the transit axis (horizontal collimation error).
 
-    Delta_azimuth = f c / cos(el) at the elevation el, with the tilt c of the beam and f = +1 in face 1 and -1 in face
-    2. This is a lateral shift f c d proportional to the range d. It does not depend on the azimuth, is largest for
-    steep lines of sight, and changes its sign with the face.
+    The correction (true value minus reading) is Delta_azimuth = f c / cos(el). Here el is the elevation, c the tilt of
+    the beam, and f is +1 in face 1 and -1 in face 2. The correction is a lateral shift f c d proportional to the range
+    d. The error does not depend on the azimuth, is largest for steep lines of sight, and changes its sign with the
+    face.
 
     Size: under 1 urad in a good tracker, 10 to 50 urad in a bad one.
     Similar to: bearing-wobble of the transit axis (correlation 0.98 in one face, 0.82 in two), transit-tilt (0.55, 0),

@@ -43,11 +43,12 @@ class BearingWobble(Effect):
         Delta_azimuth = f eX / cos(el), f = +1 in face 1 and -1 in face 2.
     A tilt differs from errors of single angles because it changes both, in the ratio tan(el).
 
-    Size: 0.3 to 1 urad and 0.3 to 1 um in a good bearing, 3 to 5 urad and 5 to 10 um in a bad one. Similar to: radial,
-    order 2: azimuth-eccentricity (correlation 0.92 in one face, 0 in two); transit, order 2: beam-tilt (0.98, 0.82);
-    tilt, order -1: tilt of order 3 (0.57, 0.74). Separate by: two faces (odd n), a change of yaw, an electronic level
-    on the head during a turn. Validity: orders up to 3, which repeat in every turn. The passage of balls does not
-    repeat; it is noise. Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.
+    Size: 0.3 to 1 urad and 0.3 to 1 um in a good bearing, 3 to 5 urad and 5 to 10 um in a bad one.
+    Similar to: radial, order 2: azimuth-eccentricity (correlation 0.92 in one face, 0 in two); transit, order 2:
+    beam-tilt (0.98, 0.82); tilt, order -1: tilt of order 3 (0.57, 0.74).
+    Separate by: two faces (odd n), a change of yaw, an electronic level on the head during a turn.
+    Validity: orders up to 3, which repeat in every turn. The passage of balls does not repeat; it is noise.
+    Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.
     Validation: validated against the exact rotation of the base and against finite differences of the chain.
     """
 

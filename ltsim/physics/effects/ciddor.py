@@ -1,8 +1,8 @@
 """Phase refractive index of moist air by Ciddor's equation.
 
-Source: Ciddor, Applied Optics 35 (1996) 1566. The vapour pressure and the compressibility are those of the NIST
-Engineering Metrology Toolbox (Stone and Zimmerman, NIST; Appendix A). The equation is valid from 300 to 1700 nm, from
--40 to 100 C and from 100 to 1400 hPa, with an uncertainty of 2e-8.
+Source: Ciddor, Applied Optics 35 (1996) 1566. The vapour pressure and the compressibility follow the NIST Engineering
+Metrology Toolbox (Stone and Zimmerman, NIST; Appendix A). The equation is valid from 300 to 1700 nm, from -40 to 100 C
+and from 100 to 1400 hPa, with an uncertainty of 2e-8.
 """
 
 from functools import lru_cache

@@ -17,13 +17,15 @@ try the effect because it cannot be estimated."""
 class DeadPath(Effect):
     """Dead path: a part of the reference path inside the head warms up with the air, and ranges are not corrected.
 
-    Delta_d = k (T - T_0), with the recorded air temperature T and its value T_0 at the first pointing. For an
-    interferometer k = -beta D_0, with the decrease beta = 0.955 ppm/K of the refractive index of air and the length D_0
-    of the path inside the head. For an absolute distance meter k is a property of its fibre.
+    The correction (true value minus reading) of the range is Delta_d = k (T - T_0), with the recorded air temperature T
+    and its value T_0 at the first pointing. For an interferometer k = -beta D_0, with the decrease beta = 0.955 ppm/K
+    of the refractive index of air and the length D_0 of the path inside the head. For an absolute distance meter k is a
+    property of its fibre.
 
-    Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter. Similar to:
-    range-drift, if the temperature changes steadily with time. Separate by: a new homing of the interferometer; both
-    distance modes along the same line. Validity: recordings with the column air_temperature_c, whose values must vary.
+    Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
+    Similar to: range-drift, if the temperature changes steadily with time.
+    Separate by: a new homing of the interferometer; both distance modes along the same line.
+    Validity: recordings with the column air_temperature_c, whose values must vary.
     Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
     Validation: validated on a temperature column; the size is general knowledge.
     """

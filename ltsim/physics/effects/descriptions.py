@@ -65,7 +65,7 @@ class ShapeParameterDescription(Description):
 
 
 SECTION_FIELD_NAMES = ("typical_sizes", "similar_effects", "separate_by", "validity_domain", "literature", "validation")
-"""Names of the fields of `EffectDescription` with the texts of the sections of a catalogue entry, in the order of
+"""Names of the fields of `EffectDescription` that contain the sections of a catalogue entry, in the order of
 `DOCSTRING_SECTIONS`."""
 
 
@@ -100,7 +100,7 @@ class EffectDescription(Description):
     light_path_stage: str
     """Stage of the light path (such as air or encoders) at which the effect acts."""
     scope: str
-    """Part of the recording in which one instance of the effect acts, with its own parameters (such as a station)."""
+    """Part of the recording, such as a station, in which one instance of the effect acts with separate parameters."""
     observables: tuple[str, ...]
     """Observables that the effect changes."""
     covariates: tuple[str, ...]

@@ -16,9 +16,9 @@ def constant_half_basis(readings: Floats) -> Floats:
 class DetectorOffset(ChainErrorEffect):
     """Null offset of the tracking detector: the return spot is held off centre, and the beam misses the vertex.
 
-    The corrections are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f eps_z / 2 upward, with the
-    offset (eps_y, eps_z) of the return spot and f = +1 in face 1 and -1 in face 2. The effect equals a beam offset of
-    half the size.
+    The corrections (true value minus reading) are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f
+    eps_z / 2 upward. Here (eps_y, eps_z) is the offset of the return spot, and f is +1 in face 1 and -1 in face 2. The
+    effect equals a beam offset of half the size.
 
     Size: under 1 um in a good tracker, 5 to 20 um in a bad one.
     Similar to: beam-offset, exactly.

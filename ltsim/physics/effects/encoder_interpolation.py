@@ -32,17 +32,20 @@ and whole fractions of a degree."""
 class EncoderInterpolation(ChainErrorEffect):
     """Interpolation error of an encoder: the signal between two lines of the scale is not an exact sine.
 
-    Delta = A cos(N x) + B sin(N x) on one circle, with its raw reading x, the number N = 1e3 to 1e5 of signal periods
-    per turn, and the parameters A and B. The error resembles white noise of that angle, but it is the same if the same
-    angle is read again.
+    The correction (true value minus reading) of the raw reading x of one circle is Delta = A cos(N x) + B sin(N x).
+    Here N = 1e3 to 1e5 is the number of signal periods per turn, and A and B are the parameters. The error resembles
+    white noise of that angle, but it is the same if the same angle is read again.
 
-    Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one. Similar to: white noise of that angle. Separate by: a
-    repeat with the base turned by a known fraction of the period; a target moved in small steps along an arc. Validity:
-    N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings cannot
-    determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N = 36
-    000. The phase is therefore computed from readings that include the instrument's errors. Source: Heydemann 1981,
-    Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an error); sizes are general
-    knowledge. Validation: validated against the exact chain for N up to 36 000.
+    Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
+    Similar to: white noise of that angle.
+    Separate by: a repeat with the base turned by a known fraction of the period; a target moved in small steps along an
+    arc.
+    Validity: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings
+    cannot determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N
+    = 36 000. The phase is therefore computed from readings that include the instrument's errors.
+    Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
+    error); sizes are general knowledge.
+    Validation: validated against the exact chain for N up to 36 000.
     """
 
     circle: Literal["azimuth", "elevation"] = "azimuth"

@@ -13,9 +13,10 @@ class GaugeScale(Effect):
     declared length L changes by -s L. No reading changes.
 
     Size: 8 ppm if the tabulated coefficient of aluminium is wrong by 5 % and the temperature differs by 7 K from the
-    reference; 23 ppm for an error of 1 K of the temperature of an aluminium gauge. Similar to: range-scale, a wrong
-    refractive index at all stations, and a uniform warming of all targets, exactly. Separate by: a thermometer on the
-    gauge; a bar of another material; a specification of the range scale. Validity: all known lengths share one gauge.
+    reference; 23 ppm for an error of 1 K of the temperature of an aluminium gauge.
+    Similar to: range-scale, a wrong refractive index at all stations, and a uniform warming of all targets, exactly.
+    Separate by: a thermometer on the gauge; a bar of another material; a specification of the range scale.
+    Validity: all known lengths share one gauge.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.
     Validation: validated on the known lengths.
     """

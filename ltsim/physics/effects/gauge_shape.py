@@ -19,11 +19,14 @@ class GaugeShape(Effect):
     the readings refer to the present position.
 
     Size: a difference of 1 K across a frame 20 mm thick with nests 40 mm above it changes 590 mm by 28 um; a nest moves
-    by 5 to 50 um. Similar to: smr-centring or dirt in the gauge's nest. Separate by: a new determination of the gauge's
-    lengths; exchanged reflectors. Validity: motions that are small compared with the lengths; a bend out of the plane
-    of a flat gauge does not change its lengths. Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and
-    section 2.3 (the gauge; 2.3 + L/300 um of the machine that measured it). Validation: validated against moved points
-    on the known lengths.
+    by 5 to 50 um.
+    Similar to: smr-centring or dirt in the gauge's nest.
+    Separate by: a new determination of the gauge's lengths; exchanged reflectors.
+    Validity: motions that are small compared with the lengths; a bend out of the plane of a flat gauge does not change
+    its lengths.
+    Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the
+    machine that measured it).
+    Validation: validated against moved points on the known lengths.
     """
 
     target_index: int = 0

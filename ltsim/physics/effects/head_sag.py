@@ -7,8 +7,9 @@ from ltsim.scene.sightings import Sightings
 class HeadSag(Effect):
     """Gravity sag of the head: the scope bends under its own weight.
 
-    Delta_elevation = -g (e_up . vertical), with the sag g and the upward unit vector e_up across the beam; for an
-    upright tracker it is -g cos(el), the same in both faces.
+    The correction (true value minus reading) is Delta_elevation = -g (e_up . vertical), with the sag g and the upward
+    unit vector e_up across the beam. For an upright tracker it is -g cos(el) at the elevation el, the same in both
+    faces.
 
     Size: under 0.5 urad in a good head, 5 urad in a bad one; normally included in the manufacturer's correction.
     Similar to: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (correlation 0.96 in one

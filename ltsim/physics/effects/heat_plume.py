@@ -37,12 +37,12 @@ class HeatPlume(WarmAirEffect):
     """Heat plume: a motor, a radiator or the tracker's exhaust warms a region of the air.
 
     The temperature excess is T = D exp(-|r - c|^2 / (2 radius^2)) at the position r, with the excess D at the centre c.
-    The centre is at an offset from a station or a target, or at a position in the hall. Along the path, s = 0 to d, the
-    corrections to the left and upward are (D_t, D_v) = integral of (d - s) grad_perp n ds, and Delta_d = -integral of
-    (n - n_sensor) ds, with the refractive index n, its gradient grad_perp n across the beam, and its value n_sensor at
-    the sensor. Because of the weight (d - s), heat near the station changes the direction of the beam, while heat near
-    a target hardly does. The range is too short by beta times the integral of T, wherever the plume is; beta is the
-    decrease of n per kelvin.
+    The centre is at an offset from a station or a target, or at a position in the hall. The corrections (true value
+    minus reading) are integrals along the path, s = 0 to d: to the left and upward (D_t, D_v) = integral of (d - s)
+    grad_perp n ds, of the range Delta_d = -integral of (n - n_sensor) ds. Here n is the refractive index, grad_perp n
+    its gradient across the beam, and n_sensor its value at the weather sensor. Because of the weight (d - s), heat near
+    the station changes the direction of the beam, while heat near a target hardly does. The range is too short by beta
+    times the integral of T, wherever the plume is; beta is the decrease of n per kelvin.
 
     Size: 5 K over 0.5 m changes a range by 2.3 um. At the head a gradient of 5 K in 0.2 m bends the beam by 7 urad.
     Similar to: near a station a tilt of the station and index-drift; near a target a constant error of its ranges.

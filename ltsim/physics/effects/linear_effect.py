@@ -21,8 +21,8 @@ from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
 SpecifiedQuantity = Literal["angle", "offset", "range_scale", "range_offset"]
-"""Quantity of an instrument for which its specification states a standard deviation. This is the prior standard
-deviation of all parameters that belong to the quantity."""
+"""Quantity of an instrument for which its specification states a standard deviation: the prior standard deviation of
+all parameters that belong to the quantity."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) 
 class ShapeParameter:
     """Shape parameter: a constant (period, time constant, onset time) on which the readings depend nonlinearly.
 
-    It is a field of the effect. A search tries values between two bounds.
+    A shape parameter is a field of its effect. A search tries values between two bounds.
     """
 
     name: str
@@ -133,7 +133,7 @@ class Linearisation(NamedTuple):
     reading_change: Floats
     """Change (n, 3) [m, rad, rad] of the raw readings of n pointings by the effect."""
     parameter_derivatives: Floats
-    """Derivatives (n, 3, p) of the change of the readings of n pointings with respect to the p parameters of the
+    """Derivatives (n, 3, p) of the change of the readings in n pointings with respect to the p parameters of the
     effect."""
     geometry_derivatives: tuple[Floats, Floats] | None = None
     """Derivatives of the change of the readings of n pointings with respect to target coordinates (n, 3, 3) and to
@@ -158,7 +158,7 @@ class LinearEffect(Protocol):
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings of n pointings per unit [SI] of each of p parameters.
+        """Derivatives (n, 3, p) of the raw readings of n pointings with respect to the p parameters [SI].
 
         The readings are range [m], azimuth and elevation [rad].
         """
@@ -179,7 +179,7 @@ class LinearEffect(Protocol):
         return ()
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings of n pointings for the values (p,) [SI] of the p parameters."""
+        """Change (n, 3) [m, rad, rad] of the raw readings of n pointings for values (p,) [SI] of p parameters."""
         return self.design(sightings) @ parameter_values
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
@@ -187,10 +187,10 @@ class LinearEffect(Protocol):
         return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Change (g, p) [m] of g known lengths per unit of each of p parameters.
+        """Derivatives (g, p) of g known lengths with respect to the p parameters.
 
-        It is zero for effects that change only readings. `first_targets` and `second_targets` (g,) are the indices of
-        the targets at the ends of the lengths. `points` (T, 3) [m] are the coordinates of all T targets.
+        They are zero for effects that change only readings. `first_targets` and `second_targets` (g,) are the indices
+        of the targets at the ends of the lengths. `points` (T, 3) [m] are the coordinates of all T targets.
         """
         return np.zeros((len(first_targets), len(self.parameters)))
 
@@ -297,7 +297,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         ]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the mean of the readings of n pointings per unit of each of p parameters: zeros."""
+        """Derivatives (n, 3, p) of the mean readings of n pointings with respect to the p parameters: zeros."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
@@ -323,9 +323,9 @@ def design_from_front_face_corrections(
 
 
 def design_from_displacements(sightings: Sightings, displacement: Floats) -> Floats:
-    """Change (n, 3, p) of the readings of n pointings per unit of p parameters that displace targets.
+    """Derivatives (n, 3, p) of the readings of n pointings with respect to p parameters that displace targets.
 
-    `displacement` (n, 3, p) [m] is the displacement of the target of each pointing per unit of each parameter.
+    `displacement` (n, 3, p) [m] are the derivatives of the displacement of the target in each pointing.
     """
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):

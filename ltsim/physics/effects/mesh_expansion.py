@@ -18,7 +18,7 @@ AXIS_WEIGHTS_BY_EXPANSION_MODE = {"uniform": np.ones(3), "vertical": np.array([0
 class MeshExpansion(TargetDisplacementEffect):
     """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
-    P(t) = P + a t A (P - centroid), with the target's coordinates P, the time t since the first pointing, and A = 1
+    The coordinates of a target are P(t) = P + a t A (P - centroid), with the time t since the first pointing, and A = 1
     (uniform) or diag(0, 0, 1) (vertical). The parameter is the growth rate a of the structure (no correction of a
     reading).
 

@@ -70,7 +70,7 @@ def _linearised_change(
 
 
 def station_motion_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of the readings of n pointings per metre and radian of motion of the station."""
+    """Derivatives (n, 3, 6) of the readings of n pointings with respect to translation and rotation of the station."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
@@ -91,7 +91,7 @@ class TargetDisplacement(LinearEffect):
     """
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Displacement (n, 3, p) [m] of the target of n pointings, network frame, per unit of each of p parameters."""
+        """Derivatives (n, 3, p) of the target's position in n pointings by the p parameters, network frame."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
@@ -116,9 +116,9 @@ class StationMotionEffect(Effect):
     """Base class of catalogue effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of the station of each of n pointings per unit of each of p parameters, network frame.
+        """Derivatives (n, 6, p) of the station's motion in n pointings with respect to the p parameters.
 
-        A motion is a translation [m] and a rotation vector [rad] about the station's origin.
+        A motion is a translation [m] and a rotation vector [rad] about the station's origin, in the network frame.
         """
         raise NotImplementedError
 

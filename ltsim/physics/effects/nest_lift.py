@@ -23,14 +23,15 @@ class NestLift(TargetDisplacementEffect):
 
     The displacement is D = h n with the lift h along the nest's normal n (kind `normal`). For a nest with a cone or
     three balls D has any direction (kind `free`). The parameters are the motion of the reflector (no correction of a
-    reading). It is the same in all pointings of the station to the target.
+    reading). The lift is the same in all pointings of the station to the target.
 
-    Size: 4 um in a clean nest, 5 to 50 um with dirt. Similar to: outlier in one reading (correlation 0.85). Separate
-    by: a repeat after reseating; a lift changes all three readings, in a fixed direction in space. Validity: 5 to 200
-    um; one seating per station and target, so that both faces and all repeats have the same lift. Source: Hughes et al.
-    2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of nests, second hand);
-    Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size). Validation: first
-    order validated against the exact motion.
+    Size: 4 um in a clean nest, 5 to 50 um with dirt.
+    Similar to: outlier in one reading (correlation 0.85).
+    Separate by: a repeat after reseating; a lift changes all three readings, in a fixed direction in space.
+    Validity: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
+    Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
+    nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
+    Validation: first order validated against the exact motion.
     """
 
     kind: Literal["normal", "free"] = "normal"

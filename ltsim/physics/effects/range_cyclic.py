@@ -30,9 +30,9 @@ MAX_N_CANDIDATE_WAVELENGTHS = 1200
 class RangeCyclic(Effect):
     """Cyclic range error: crosstalk of the modulation, periodic in the range with its unit length.
 
-    Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), with the unit length L = c / (2 n f), the speed of light c, the
-    refractive index n and the modulation frequency f: L is 150 mm at 1 GHz and 53.5 mm at 2.8 GHz. Ranges that differ
-    by L have the same error.
+    The correction (true value minus reading) of the range d is Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L). The
+    unit length is L = c / (2 n f), with the speed of light c, the refractive index n and the modulation frequency f: L
+    is 150 mm at 1 GHz and 53.5 mm at 2.8 GHz. Ranges that differ by L have the same error.
 
     Size: under 1 um in a good meter, 5 to 10 um in a bad one.
     Similar to: noise that repeats. If the effect is not modelled, it biases the range zero.

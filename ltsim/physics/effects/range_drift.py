@@ -6,14 +6,17 @@ from ltsim.physics.effects.places import MotionDrift
 class RangeDrift(MotionDrift):
     """Drift of the range zero: electronics and head warm up.
 
-    Delta_d = r t (with t from the start of the recording or of each station) or A exp(-t / tau) (warm-up), with the
-    time t, the rate r, the amplitude A and the time constant tau.
+    The correction (true value minus reading) of the range is Delta_d = r t (with t from the start of the recording or
+    of each station) or A exp(-t / tau) (warm-up). Here t is the time, r the rate, A the amplitude and tau the time
+    constant.
 
-    Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold. Similar to: mesh-expansion
-    (correlation 0.955), dead-path. Separate by: a new homing during the measurement; thermometers; one target measured
-    every quarter of an hour. Validity: the same drift at every station; time constants of 10 min to 4 h. Source:
-    Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body that
-    reaches its temperature. Validation: validated against the range zero at a given time.
+    Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
+    Similar to: mesh-expansion (correlation 0.955), dead-path.
+    Separate by: a new homing during the measurement; thermometers; one target measured every quarter of an hour.
+    Validity: the same drift at every station; time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential describes a body that
+    approaches its final temperature.
+    Validation: validated against the range zero at a given time.
     """
 
     name = "range-drift"

@@ -5,7 +5,7 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class RangeOffset(ChainErrorEffect):
     """Range zero error: the bird-bath distance or the offset of the absolute distance meter is wrong.
 
-    Delta_d = rho_0: all ranges have the same error, in both faces.
+    The correction (true value minus reading) is Delta_d = rho_0: all ranges have the same error, in both faces.
 
     Size: a current absolute meter 2.5 um, 5 um at most; a bad one 20 to 50 um.
     Similar to: transit-offset (correlation 0.83 in one face, 0 in two), the axial part of smr-centring exactly.

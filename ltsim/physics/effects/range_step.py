@@ -12,15 +12,16 @@ from ltsim.scene.sightings import Sightings
 class RangeStep(Effect):
     """Step of the range zero: the beam is interrupted, and the zero has another value afterwards.
 
-    Delta_d = rho, the size of the step, from the time of the step to the last pointing of the station.
+    The correction (true value minus reading) of a range is Delta_d = rho, the size of the step, from the time of the
+    step to the last pointing of the station.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
     Similar to: reflector-constant (exactly) and station-weather (correlation 0.965), if the step is at the start of the
     station; station-bump.
     Separate by: near and far targets at that station; a target measured before and after the step.
     Validity: one step per station; the step does not act at the next station.
-    Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter
-    keeps its zero.
+    Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter keeps
+    its zero.
     Validation: validated on pointings before and after the step.
     """
 

@@ -160,7 +160,7 @@ class WarmAirEffect(Effect):
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the readings of n pointings per kelvin of the temperature difference, to first order."""
+        """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the temperature difference."""
         return first_order_reading_change(
             sightings, self.temperature_field(sightings), self.pointing_indicator(sightings) > 0
         )[:, :, None]

@@ -8,8 +8,9 @@ from ltsim.scene.sightings import Sightings
 class RefractivityDrift(Effect):
     """Drift of the refractive index: the hall warms up, but the weather values are not updated.
 
-    Delta_d = d s t at the range d, with the time t since the first pointing and the growth rate s of the scale error;
-    1 K changes the refractive index by 0.955 ppm. Later stations measure shorter ranges.
+    The correction (true value minus reading) is Delta_d = d s t at the range d, with the time t since the first
+    pointing and the growth rate s of the scale error; 1 K changes the refractive index by 0.955 ppm. Later stations
+    measure shorter ranges.
 
     Size: 0.5 to 2 K in a morning, 0.1 to 1 ppm/h.
     Similar to: mesh-expansion, uniform mode (correlation 0.996, exactly if it grows only between stations);

@@ -30,18 +30,22 @@ class SmrCentring(Effect):
 
     The tracker measures the vertex, which is displaced from the centre by e = e_a axial + e_s side + e_u up, with unit
     vectors along the axis (perpendicular to the open face), sideways and up. Let alpha be the angle of incidence to the
-    axis and chi its direction around the axis. Then Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where
-    e_t and chi_0 are length and direction of the part of e across the axis. The lateral correction is the component of
-    -e across the beam. A fixed reflector has the same e in all pointings. A re-aimed reflector is turned so that its
-    axis points to the tracker. Its axial part is then an error of the range zero. Its other parts are constant lateral
-    lengths, the same in both faces, if a marker on the reflector is always up; otherwise they are noise.
+    axis and chi its direction around the axis. Then the correction (true value minus reading) of the range is Delta_d =
+    e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length and direction of the part of e
+    across the axis. The lateral correction is minus the component of e across the beam. A fixed reflector has the same
+    e in all pointings. A re-aimed reflector is turned so that its axis points to the tracker. Its axial part is then an
+    error of the range zero. Its other parts are constant lateral lengths, the same in both faces, if a marker on the
+    reflector is always up; otherwise they are noise.
 
-    Size: 2.5 um in a good reflector, 12 to 25 um in a bad one. Similar to: fixed: the target's position, exactly.
-    Re-aimed: range-offset, exactly (axial, all); beam-offset (one face). Separate by: the reflector turned by 4 x 90
-    deg in one nest, or swapped. Validity: up to 25 um; independent of the point where the beam meets the mirrors.
+    Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
+    Similar to: for a fixed reflector, a displaced target (exactly); for a re-aimed reflector, range-offset (its axial
+    part, exactly) and beam-offset (in one face).
+    Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
+    Validity: up to 25 um; independent of the point where the beam meets the mirrors.
     Source: patent US 2015/0285615 A1 (run-out, and the marker that keeps it constant); Yan et al. 2010 (geometric
-    errors of a spherically mounted reflector); the equation follows from a ray trace of three mirrors. Validation:
-    validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range offset.
+    errors of a spherically mounted reflector); the equation follows from a ray trace of three mirrors.
+    Validation: validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range
+    offset.
     """
 
     name = "smr-centring"

@@ -31,7 +31,7 @@ values for opposite directions). The change of slope is expressed as the resulti
 an odd part then has a standard deviation of 3.3 um; in `PAPER_INCIDENCE_RANGE_ERRORS` it is 2.4 um."""
 THREEFOLD_PART_PRIOR_SIGMA = 5 * MICROMETRE
 """Prior standard deviation [m] of the part of the incidence error with three periods per turn around the normal of
-the nest, which the three mirrors of the reflector cause."""
+the nest. The three mirrors of the reflector cause this part."""
 INCIDENCE_ERROR_PARTS = ("even", "cos", "sin")
 """Parts of the incidence error by their dependence on the direction of incidence: `even` (none), `cos` (its cosine)
 and `sin` (its sine)."""
@@ -77,14 +77,14 @@ def _ramp_values(incidence: Floats) -> Floats:
 class SmrIncidence(Effect):
     """Incidence-angle error of a reflector: the range depends on the angle between open face and beam.
 
-    With the incidence angle alpha and its direction chi around the nest's normal, Delta_d = even(alpha) + cos(chi)
-    c(alpha) + sin(chi) s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). The functions even, c and s are piecewise
-    linear with knots every 7.5 deg, as a test on a roundness table with an interferometer gives them. Each parameter of
-    these functions is a change of slope at one knot, expressed as the resulting range error at 30 deg. A table of
-    signed incidence angles along the direction chi_0 corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term
-    in 3 chi comes from the three mirrors. The error at normal incidence belongs to the range zero, which is determined
-    with the reflector facing the beam. It is therefore subtracted from the table, and a re-aimed reflector has no
-    error.
+    The correction (true value minus reading) of the range is Delta_d = even(alpha) + cos(chi) c(alpha) + sin(chi)
+    s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). Here alpha is the angle of incidence and chi its direction
+    around the nest's normal. The functions even, c and s are piecewise linear with knots every 7.5 deg, as a test on a
+    roundness table with an interferometer gives them. Each parameter of these functions is a change of slope at one
+    knot, expressed as the resulting range error at 30 deg. A table of signed incidence angles along the direction chi_0
+    corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term in 3 chi comes from the three mirrors. The error
+    at normal incidence belongs to the range zero, which is determined with the reflector facing the beam. The error at
+    normal incidence is therefore subtracted from the table, and a reflector that is turned to the tracker has no error.
 
     Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
     good reflector 1.3 um.
@@ -131,7 +131,7 @@ class SmrIncidence(Effect):
 
     @classmethod
     def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Change (n, 14) of the range correction (true range - reading) in n pointings per unit of the 14 parameters.
+        """Derivatives (n, 14) of the range correction (true range - reading) in n pointings by the 14 parameters.
 
         `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the normal of the
         nest.

@@ -16,10 +16,13 @@ class SmrOffset(TargetDisplacementEffect):
     used radius R. The parameter is this displacement, positive away from the nest (no correction of a reading).
 
     Size: 12.7 mm if a 1.5 in SMR is taken for 0.5 in, 7.94 mm if it is taken for 7/8 in: one of a few nominal
-    differences. Similar to: nest-lift of many targets at once, a station-bump along a wall's normal. Separate by: no
-    measurement is needed, because the size is one of the nominal differences. Validity: nests with a known normal. The
-    same error at all stations displaces the targets, and only a reference length shows it. Source: nominal radii of
-    reflectors: 1.5, 7/8 and 0.5 in across. Validation: first order validated against the exact motion.
+    differences.
+    Similar to: nest-lift of many targets at once, a station-bump along a wall's normal.
+    Separate by: no measurement is needed, because the size is one of the nominal differences.
+    Validity: nests with a known normal. The same error at all stations displaces the targets, and only a reference
+    length shows it.
+    Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
+    Validation: first order validated against the exact motion.
     """
 
     name = "smr-offset"

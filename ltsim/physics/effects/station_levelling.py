@@ -14,13 +14,14 @@ class StationLevelling(StationMotionEffect):
 
     The instrument is rotated by the vector w = R_i (b_x, b_y, 0) in the network frame, with the rotation R_i of station
     i. The parameters b_x and b_y are the rotations about the x and y axes of the instrument (no correction of a
-    reading). It acts at one station, or equally at all stations (a level fixed to the head).
+    reading). The error acts at one station, or equally at all stations (a level fixed to the head).
 
-    Size: 2 urad for a good level, 10 to 20 urad for a bad one. Similar to: no effect; if the tilts of the stations are
-    estimated, they absorb it, and the residuals do not change. Separate by: an adjustment that estimates the tilts;
-    plumb lines converge by 0.157 urad per metre. Validity: levelled stations only. Source: the user manual of
-    SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers). Validation: first order validated against
-    the exact motion.
+    Size: 2 urad for a good level, 10 to 20 urad for a bad one.
+    Similar to: no effect; if the tilts of the stations are estimated, they absorb it, and the residuals do not change.
+    Separate by: an adjustment that estimates the tilts; plumb lines converge by 0.157 urad per metre.
+    Validity: levelled stations only.
+    Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
+    Validation: first order validated against the exact motion.
     """
 
     name = "station-levelling"

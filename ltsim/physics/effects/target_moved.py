@@ -26,10 +26,10 @@ PLAUSIBLE_TARGET_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 class TargetMoved(TargetDisplacementEffect):
     """Moved target: a nest was displaced suddenly, or its support creeps.
 
-    step: P(t) = P + H(t - t_m) D, with the target's coordinates P, the unit step function H, the time t_m of the step
-    and the displacement D. creep: P(t) = P + v (t - t_0), with the velocity v and the time t_0 of the first pointing.
-    The parameters are the motion of the target in the network frame (no correction of a reading), the same as seen from
-    all stations.
+    For a step, the target's coordinates are P(t) = P + H(t - t_m) D at the time t, with the unit step function H, the
+    time t_m of the step and the displacement D. For creep they are P(t) = P + v (t - t_0), with the velocity v and the
+    time t_0 of the first pointing. The parameters are the motion of the target in the network frame (no correction of a
+    reading), the same as seen from all stations.
 
     Size: 10 to 100 um.
     Similar to: nest-lift, if only one station measured the target after the motion.

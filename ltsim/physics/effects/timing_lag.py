@@ -17,16 +17,16 @@ def mean_reading_rates(sightings: Sightings) -> Floats:
 class TimingLag(Effect):
     """Timing lag: a reading is taken before the axis has settled, or a channel is delayed.
 
-    Delta = rate of the reading times the lag, with a separate lag for range, azimuth and elevation. The rate is the
-    change since the previous pointing of the station, divided by the time between both pointings. It is zero for the
-    first pointing of a station.
+    The correction (true value minus reading) is Delta = rate of the reading times the lag, with a separate lag for
+    range, azimuth and elevation. The rate is the change since the previous pointing of the station, divided by the time
+    between both pointings. The rate is zero for the first pointing of a station.
 
     Size: 0.1 to 1 ms; a target moved at 0.1 m/s is off by 100 um in 1 ms.
     Similar to: backlash, if all motions take the same time.
     Separate by: dwell times of 0.1, 1 and 5 s.
     Validity: static targets at regular times. If the head turns faster than the mean rate used here, the estimated lag
     is too long by the ratio of both rates.
-    Source: general knowledge; the equation is that of a delayed channel.
+    Source: general knowledge; the equation describes a delayed channel.
     Validation: validated on a sequence of known rates; the size is general knowledge.
     """
 

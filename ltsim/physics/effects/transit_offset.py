@@ -5,9 +5,10 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class TransitOffset(ChainErrorEffect):
     """Transit offset: the transit axis does not intersect the standing axis.
 
-    Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, at the elevation el and the range d, with the offset
-    tau of the transit axis, positive forward, and f = +1 in face 1 and -1 in face 2. It is the only geometric error
-    with different ranges in the two faces; they differ by 2 tau cos(el).
+    The corrections (true value minus reading) are Delta_d = f tau cos(el) and Delta_elevation = -f tau sin(el) / d at
+    the elevation el and the range d. Here tau is the offset of the transit axis, positive forward, and f is +1 in face
+    1 and -1 in face 2. The transit offset is the only geometric error with different ranges in the two faces; they
+    differ by 2 tau cos(el).
 
     Size: under 3 um in a good tracker, 20 to 50 um in a bad one.
     Similar to: range-offset (correlation 0.83 in one face, 0 in two).

@@ -5,9 +5,10 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class TransitTilt(ChainErrorEffect):
     """Transit tilt: the transit axis is not perpendicular to the standing axis.
 
-    Delta_azimuth = -f kappa tan(el) at the elevation el, with the tilt kappa of the transit axis and f = +1 in face 1
-    and -1 in face 2. This is a lateral shift -f kappa d sin(el) at the range d. It has opposite signs at ceiling and
-    floor, is zero at the height of the head, and changes its sign with the face.
+    The correction (true value minus reading) is Delta_azimuth = -f kappa tan(el) at the elevation el. Here kappa is the
+    tilt of the transit axis, and f is +1 in face 1 and -1 in face 2. The correction is a lateral shift -f kappa d
+    sin(el) at the range d. The error has opposite signs at ceiling and floor, is zero at the height of the head, and
+    changes its sign with the face.
 
     Size: under 1 urad in a good tracker, 5 to 20 urad in a bad one.
     Similar to: azimuth-drift (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their

@@ -5,9 +5,9 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class VerticalIndex(ChainErrorEffect):
     """Vertical index error: the zero of the elevation circle is wrong, or the beam tilts upward.
 
-    Delta_elevation = f phi_0, with the index error phi_0 and f = +1 in face 1 and -1 in face 2. It is the same for all
-    targets in one face, and changes its sign with the face. Poses and targets absorb a part of it; the residuals are a
-    smooth function of azimuth and elevation.
+    The correction (true value minus reading) is Delta_elevation = f phi_0, with the index error phi_0 and f = +1 in
+    face 1 and -1 in face 2. The error is the same for all targets in one face, and changes its sign with the face.
+    Poses and targets absorb a part of it; the residuals are a smooth function of azimuth and elevation.
 
     Size: under 1 urad in a good tracker, 10 to 50 urad in a bad one; it changes during the warm-up (index-drift).
     Similar to: elevation-eccentricity cosine and head-sag (correlation 0.96 in one face, 0 in two), beam-offset

@@ -30,15 +30,17 @@ def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
 class Window(TargetDisplacementEffect):
     """Window in the path: a pane of glass is between a station and some of its targets.
 
-    With the thickness w, the index n and the angle of incidence i at the pane, the range is too long by w (sqrt(n^2 -
-    sin^2 i) - cos i), and the target appears displaced by w sin i (1 - cos i / sqrt(n^2 - sin^2 i)) across the beam,
-    away from the pane's normal. The parameter is w (no correction of a reading).
+    The range is too long by w (sqrt(n^2 - sin^2 i) - cos i), with the thickness w, the refractive index n and the angle
+    of incidence i at the pane. The target appears displaced by w sin i (1 - cos i / sqrt(n^2 - sin^2 i)) across the
+    beam, away from the pane's normal. The parameter is w (no correction of a reading).
 
     Size: a pane of 3 mm changes the range by 1.500 mm at normal incidence and by 1.645 mm at 30 deg, where it displaces
-    the target by 0.58 mm across the beam. Similar to: range-step at the start of the station (if all its targets are
-    behind the pane), smr-offset. Separate by: the glass pane removed. Validity: plane-parallel glass of index 1.5,
-    anywhere on the path. Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived
-    here from Snell's law. Validation: validated against the numbers above.
+    the target by 0.58 mm across the beam.
+    Similar to: range-step at the start of the station (if all its targets are behind the pane), smr-offset.
+    Separate by: the glass pane removed.
+    Validity: plane-parallel glass of index 1.5, anywhere on the path.
+    Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
+    Validation: validated against the numbers above.
     """
 
     pane_normal: tuple[float, float, float] = (0.0, 0.0, 0.0)

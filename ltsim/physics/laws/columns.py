@@ -25,11 +25,9 @@ N_CURVE_MODES = 9
 """Number of eigenfunctions of the Laplacian (modes) of which a search composes a smooth curve. For the shortest
 length scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
 N_FACTOR_CURVE_MODES = 4
-"""Number of eigenfunctions of the Laplacian (modes) of a smooth curve that is a factor of a product, or a law of a
-single target."""
+"""Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law of a single target."""
 N_MODES_OF_FINER_CURVE = 32
-"""Number of eigenfunctions of the Laplacian (modes) of a finer curve, which a search tries in place of the smooth
-curve of the selected law."""
+"""Number of eigenfunctions (modes) of a finer curve, which a search tries in place of the selected smooth curve."""
 EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions are zero, divided by the range of the covariate. It is
 above 1, because a smooth curve need not be zero at the ends of the range."""
@@ -64,8 +62,8 @@ HYSTERESIS_FUNCTION = "hysteresis"
 """Name of the function with hysteresis, which depends on the order of the pointings. Its constant is half the width
 of the loop, in the unit of the covariate."""
 MAX_NATURAL_ZERO_FRACTION = 0.02
-"""Ratio of the smallest to the largest absolute value of a covariate (such as a load), below which zero is its
-reference value, because the covariate is practically zero in a pointing."""
+"""Ratio of the smallest to the largest absolute value of a covariate, below which zero is its reference value. A
+load, for example, is practically zero in some pointings."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:

@@ -113,7 +113,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.covariate_names_in_files
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the three raw readings of n pointings per unit of each of the law's k coefficients."""
+        """Derivatives (n, 3, k) of the raw readings of n pointings with respect to the k coefficients of the law."""
         _, response_design = RESPONSE_AND_DESIGN_BY_NAME[self.response.name]
         derivatives = self.change_by_common_coefficient(response_design(sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
@@ -122,11 +122,11 @@ class EmpiricalLaw(CandidateEffect):
     def change_by_common_coefficient(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
-        """Change (r, ..., 1) of the readings of r pointings per unit of the common coefficient of all components.
+        """Derivatives (r, ..., 1) of the readings of r pointings by the common coefficient of all components.
 
-        `component_changes` (r, ..., c) are the changes per unit of each of c components, which `component_ratio`
-        combines; a law without a fixed ratio returns them unchanged. `rows` (r,) are the indices of the pointings, by
-        default all.
+        `component_changes` (r, ..., c) are the derivatives with respect to each of c components, which
+        `component_ratio` combines; a law without a fixed ratio returns them unchanged. `rows` (r,) are the indices of
+        the pointings, by default all.
         """
         if not self.component_ratio:
             return component_changes

@@ -17,8 +17,8 @@ MIN_GROUP_TARGETS = 3
 """Smallest number of targets in a group, and outside the group, for which a search tries a law of the group. A law
 with a separate value for each set-up is tried only with more set-ups than this number."""
 CLUSTERING_HEIGHT_WEIGHT = 5.0
-"""Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of
-the hall counts as much as an angle of 60 deg between the normals of two nests."""
+"""Factor on heights in the clustering of targets by height and surface. A height difference of a fifth of the hall
+then counts as much as an angle of 60 deg between two nest normals."""
 
 
 @dataclass(frozen=True)

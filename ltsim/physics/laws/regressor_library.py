@@ -102,7 +102,7 @@ CANDIDATE_TIME_PART_COUNTS = (2, 4)
 CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the span of the covariate."""
 CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
+"""Limits of dead bands that a search tries, as quantiles of the motions of an axis between pointings."""
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
 MAX_SEPARATE_AMOUNTS = 12
@@ -150,7 +150,7 @@ def varying_column_names(sightings: Sightings) -> list[str]:
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of those of the given `covariates` whose values vary in these sightings."""
+    """Names of the given `covariates` with values that vary in these sightings."""
     has_nests, faces = np.isfinite(sightings.incidence_angle).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)

@@ -196,8 +196,9 @@ class Regressor:
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
         """Values (n,) in n pointings of a regressor that depends on a `region` of the hall.
 
-        By the kind of regressor, they are the length [m] of the line of sight in the region, this length weighted by
-        the lever of a deflection (`DEFLECTION_FUNCTION`), or the weight of the region at the target.
+        For the kind `passage` they are the length [m] of the line of sight in the region, with the function
+        `DEFLECTION_FUNCTION` weighted by the lever of a deflection. For the kind `near` they are the weight of the
+        region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
@@ -270,7 +271,7 @@ class Regressor:
 
     @property
     def hall_region(self) -> HallRegion | None:
-        """Region of the hall of the regressor, or of one of its factors; None without a region."""
+        """Region of the hall of the regressor or of one of its factors; None without a region."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def with_region(self, region: HallRegion) -> Regressor:

@@ -30,9 +30,9 @@ PLAUSIBLE_ANGLE_ERROR = 2 * ARCSECOND
 PLAUSIBLE_LENGTH_ERROR = 10 * MICROMETRE
 """Prior standard deviation [m] of the coefficients of errors of ranges, beam offsets and reflectors."""
 PLAUSIBLE_SCALE_ERROR = 2 * PPM
-"""Prior standard deviation of the coefficients of scale errors of ranges, as a fraction of the range."""
+"""Prior standard deviation of the coefficients of range scale errors, as a fraction of the range."""
 PLAUSIBLE_MOTION = 30 * MICROMETRE
-"""Prior standard deviation [m] of the coefficients of motions of targets and stands, or of their walls and floors."""
+"""Prior standard deviation [m] of the coefficients of motions: of targets, stands, walls and floors."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 
 
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings of n pointings per unit of a correction of one observable.
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to a correction of one observable.
 
     The correction refers to readings in face 1. In face 2 the raw reading of an angle may change with the opposite
     sign.
@@ -171,7 +171,7 @@ def _observable_design(sightings: Sightings, observable: str) -> Floats:
 
 
 def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
-    """Change (n, 3, c) of the readings of n pointings per unit of the coefficient of each of c observables."""
+    """Derivatives (n, 3, c) of the raw readings of n pointings with respect to the coefficients of c observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_si_per_coefficient, strict=True)
@@ -180,31 +180,34 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 
 
 def _chain_error_design(sightings: Sightings, error_key: str) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per unit of the error `error_key` of the kinematic chain."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to an error of the kinematic chain.
+
+    `error_key` is the key of the error.
+    """
     return sightings.reading_change_by_error_key[error_key][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings of n pointings per unit of the range scale."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the range scale."""
     return design_from_front_face_corrections(sightings, distance=sightings.range_)[:, :, None]
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per metre of motion of the targets along their nests' normals."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings by a motion of targets along their nests' normals."""
     normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
 def _reflector_vertex_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 3) of the readings of n pointings per metre of displacement of reflector vertices on three axes.
+    """Derivatives (n, 3, 3) of the raw readings of n pointings by displacements of reflector vertices on three axes.
 
-    The axes (axial, side, up) are those of `reflector_axes`.
+    `reflector_axes` returns the axes: axial, side, up.
     """
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
 def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per metre of horizontal motion of reflectors to the tracker."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings by a horizontal motion of reflectors to the tracker."""
     back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = back_sight * [1.0, 1.0, 0.0]
     return design_from_displacements(
@@ -213,8 +216,8 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from the sightings of n pointings to the change (n, 3, c) of their raw readings per unit of each of the c
-components of a response."""
+"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the
+c components of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
@@ -237,18 +240,18 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
 
 
 RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the change (n, 3, c) of the raw readings of n pointings per unit of
-its c components."""
+"""Responses by name, each with the function for the derivatives (n, 3, c) of the raw readings of n pointings with
+respect to its c components."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
 """Names of the responses that need the declared normals of nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
-    """Responses by name, each with the change (n, 3, c) of the readings of n pointings per unit of its c coefficients.
+    """Responses by name, each with the derivatives (n, 3, c) of the raw readings of n pointings by its c components.
 
-    Of several responses with the same change only the first is listed: for example, errors of the vertical index and of
-    the elevation are the same if all readings are in one face. A motion of the stand is always listed, because it can
-    depend on other regressors than a motion of the targets.
+    Of several responses with the same derivatives only the first is listed: for example, errors of the vertical index
+    and of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because
+    it can depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

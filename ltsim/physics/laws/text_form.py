@@ -114,7 +114,7 @@ SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
 SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
+"""Separators between the texts of factors, by the kind of regressor: of a product, or of a sum of steps and ramps."""
 REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",

@@ -73,7 +73,8 @@ class DeclaredPlan:
     def _rotation_from_positions(self, station_positions: Floats, station_rotations: Floats) -> Floats | None:
         """Rotation matrix (3, 3) from the approximate positions of the stations; None if they do not determine one.
 
-        For upright instruments the vertical is that of their standing axes, because these are far more accurate.
+        For upright instruments, the vertical comes from the standing axes, which are far more accurate than the
+        positions.
         """
         if len(self.placed_station_indices) < MIN_PLAN_POSITIONS:
             return None

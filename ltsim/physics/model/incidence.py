@@ -25,8 +25,8 @@ from ltsim.scene.sightings import Sightings
 SMR_INCIDENCE_EFFECT = SmrIncidence()
 """Catalogue effect with the range error as a function of the angle of incidence."""
 MIN_BENCH_TEST_SIGMA = 1e-3 * MICROMETRE
-"""Smallest standard deviation [m] of a range error from a bench test, which replaces smaller declared values. It is
-a tenth of the resolution of interferometers."""
+"""Smallest standard deviation [m] of a range error from a bench test, a tenth of the resolution of interferometers.
+It replaces smaller declared values."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class IncidenceErrors(LinearEffect):
     mean_parameters: Floats
     """Parameters (p,) [SI] of the effect `smr-incidence` for the mean function."""
     covariance_root: Floats
-    """Change (p, k) [SI] of the p parameters of the effect `smr-incidence` by one standard deviation of each of k
-    independent errors."""
+    """Root (p, k) of the covariance [SI] of the p parameters of the effect `smr-incidence`: column i is their change
+    by one standard deviation of the independent error i."""
 
     @property
     def name(self) -> str:
@@ -64,9 +64,9 @@ class IncidenceErrors(LinearEffect):
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
-        """Range correction (n, p) of n pointings per unit of each of the p parameters of `smr-incidence`.
+        """Derivatives (n, p) of the range corrections of n pointings by the p parameters of `smr-incidence`.
 
-        It is zero for pointings to other reflectors.
+        They are zero for pointings to other reflectors.
         """
         return (
             SMR_INCIDENCE_EFFECT.range_correction_design(*SMR_INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
@@ -74,7 +74,7 @@ class IncidenceErrors(LinearEffect):
         )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings of n pointings per unit of each of k independent errors."""
+        """Derivatives (n, 3, k) of the raw readings of n pointings with respect to the k independent errors."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )

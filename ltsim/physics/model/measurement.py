@@ -30,7 +30,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
-    """Sightings of the pointings of a recording, with the poses of stations and coordinates of targets in `state`.
+    """Sightings of a recording, with the poses of the stations and the coordinates of the targets in `state`.
 
     Nest normals are transformed from the floor plan to the network frame.
     """
@@ -209,7 +209,7 @@ class MeasurementModel:
 
     @property
     def n_extra_parameters(self) -> int:
-        """Number q of additional parameters: those of `effects` and of the nuisance errors."""
+        """Number q of additional parameters: parameters of `effects` and of the nuisance errors."""
         return sum(len(effect.parameters) for effect in self.effects_and_nuisance_errors)
 
     @property
@@ -264,7 +264,7 @@ class MeasurementModel:
         )
 
     def extra_design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the readings of n pointings per unit of each of q additional parameters."""
+        """Derivatives (n, 3, q) of the readings of n pointings with respect to the q additional parameters."""
         if not self.effects_and_nuisance_errors:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.effects_and_nuisance_errors], axis=2)

@@ -54,7 +54,7 @@ class HeightErrors(LinearEffect):
         ) * self.occupation_coefficients.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings of n pointings per unit of each of q height errors."""
+        """Derivatives (n, 3, q) of the raw readings of n pointings with respect to the q height errors."""
         return design_from_displacements(
             sightings, self.plumb_directions[:, :, None] * self.occupation_coefficients[:, None]
         )
@@ -110,7 +110,7 @@ class CentringErrors(TargetDisplacement):
         ) * (3 * self.n_occupations)
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Displacement (n, 3, q) [m] of the reflector in n pointings per metre of each of the q components."""
+        """Derivatives (n, 3, q) of the reflector's displacement in n pointings with respect to the q components."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         occupied_rows = np.flatnonzero(self.occupation_indices >= 0)
         displacements[occupied_rows, :, self.occupation_indices[occupied_rows]] = np.eye(3)
@@ -135,7 +135,7 @@ class SharedErrors(LinearEffect):
     """
 
     reading_changes_per_sigma: Floats
-    """Change (n, 3, q) [m, rad, rad] of the readings of n pointings by one standard deviation of each of q errors."""
+    """Change (n, 3, q) [m, rad, rad] of the readings of n pointings by one standard deviation of each error."""
     is_horizontal_distance: Bools
     """Mask (n,) of the pointings whose distance is reduced to the horizontal."""
 
@@ -152,7 +152,7 @@ class SharedErrors(LinearEffect):
         ) * self.reading_changes_per_sigma.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings of n pointings per standard deviation of each of q errors.
+        """Change (n, 3, q) of the raw readings of n pointings by one standard deviation of each of q errors.
 
         The error of a horizontal distance h = r cos(e) is declared for h, but the result is for the raw range r and
         elevation e. The change of r is therefore such that h, with the changed e, changes by the declared error.
@@ -207,7 +207,7 @@ class Refraction(LinearEffect):
         return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings of n pointings per unit of the coefficient of refraction."""
+        """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the coefficient of refraction."""
         _, across, up = sightings.beam_vectors
         bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # negative, because it is a correction
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
