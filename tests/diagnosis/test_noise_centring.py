@@ -93,7 +93,7 @@ def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_eac
     diagnosis = diagnose(recording)
     (finding,) = diagnosis.findings
     assert finding.formula == CentringVariance(occupation_grouping="station").text
-    assert finding.sentence.startswith("Repeated pointings of a target from one set-up share errors of 0.0")
+    assert finding.sentence.startswith("Repeated pointings of a target from one set-up have common errors of 0.0")
     assert finding.parameters[0].value == pytest.approx(0.02, rel=0.2)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
 

@@ -26,7 +26,7 @@ def shared_errors_sentence(sigma_text: str) -> str:
     `sigma_text` is the standard deviation of a displacement as text with its unit.
     """
     return (
-        f"Repeated pointings of a target from one set-up share errors of {sigma_text} (standard deviation) along "
+        f"Repeated pointings of a target from one set-up have common errors of {sigma_text} (standard deviation) along "
         "each axis: the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
         "The repeats are not independent."
     )

@@ -107,7 +107,7 @@ class VarianceFunction(CandidateNoiseEffect):
         """Description for users of the changed noise level."""
         if self.shared_error_repetition:
             again = ", in both faces" if self.shared_error_repetition == REPEATS_IN_BOTH_FACES else ""
-            return f"errors without a visible law that recur when a target is measured again{again}"
+            return f"errors of unknown form that recur when a target is measured again{again}"
         if self.region is not None:
             return "larger noise on lines of sight that pass a region of the hall" + (
                 " for a time" if self.covariate_band else ""
@@ -122,7 +122,7 @@ class VarianceFunction(CandidateNoiseEffect):
         if not self.covariates:
             return "larger noise"
         if self.covariate_band:
-            several = "bands" if len(self.covariate_band) > 2 else "a band"
+            several = "several intervals" if len(self.covariate_band) > 2 else "an interval"
             return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.decreases_with_covariate else 'grows'} with {self.covariates[0]}"
 
