@@ -100,7 +100,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     stations: tuple[StationPose, ...] = ()
     """Adjusted poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
-    """Disagreement of the stations before and after calibration; null for one station."""
+    """Disagreement of the stations in distances and coordinates, before and after calibration; null for one station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
     tests: tuple[CauseTest, ...] = ()
@@ -174,7 +174,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
-        """Copy of the calibration with other arrays and fields."""
+        """Copy of the calibration with the given arrays and other values of the given fields."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in FIELDS_NOT_COPIED}
         return type(self).from_arrays(arrays, **{**fields, **changes})
 

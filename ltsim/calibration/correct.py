@@ -24,9 +24,9 @@ def correct(
 ) -> Recording:
     """Recording that an ideal tracker would have made, computed with a calibration of the instrument.
 
-    Each reading stays on its face. The set-up of the result declares its instruments corrected. A row without a range
-    or without an angle is corrected at the adjusted position of its target; an accuracy of one millimetre of this
-    position is sufficient.
+    Each reading remains in its face. The set-up of the result declares its instruments corrected. In a row without a
+    range or without an angle, the correction is computed for the adjusted position of the target, for which an accuracy
+    of one millimetre is sufficient.
 
     Parameters
     ----------

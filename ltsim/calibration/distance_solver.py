@@ -83,7 +83,7 @@ def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistance
 
 
 def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Terms of the distance objective: differences of a distance between two stations or faces, or from the gauge."""
+    """Terms of the distance objective: differences between two stations or faces, or from a length of the gauge."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)

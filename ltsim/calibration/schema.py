@@ -93,7 +93,7 @@ class ParameterEntry(Entry):
 
 
 class HarmonicEntry(Entry):
-    """Amplitude and phase of a harmonic, from its cosine and sine parameters; the phase may be null."""
+    """Amplitude and phase of a harmonic from its cosine and sine; the phase is null for an insignificant amplitude."""
 
     name: str
     """Name of the harmonic: the common part of the names of both parameters."""

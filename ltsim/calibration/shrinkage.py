@@ -119,7 +119,7 @@ def recommend_correction(
 
 
 class ScaledPrior:
-    """Likelihood of the scale of a prior, and the parameters estimated under each scale.
+    """Likelihood of the scale of a prior (factor on its standard deviations), and the parameters estimated with it.
 
     Parameters
     ----------

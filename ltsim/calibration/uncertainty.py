@@ -12,7 +12,7 @@ class HiddenError(Entry):
     error_text: str
     """Text for users that names the error and its size."""
     rms_target_error_um: NotNegative
-    """Rms displacement [um] of the targets by this error, after the best rigid fit."""
+    """Rms displacement [um] of the targets by the error, after the best rigid fit."""
 
 
 class UncertaintyEntry(Entry):

@@ -242,7 +242,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
-    """Errors of another recording relative to nominal points, before and after a calibration (eq. 13, 14).
+    """Errors of another recording relative to nominal points, before and after a calibration.
 
     Parameters
     ----------

@@ -144,7 +144,7 @@ class Linearisation(NamedTuple):
 
 
 class LinearEffect(Protocol):
-    """Interface of a change of the readings that is linear in its parameters, at least to first order."""
+    """Interface of an effect: a change of the readings that is, at least to first order, linear in its parameters."""
 
     @property
     @abstractmethod

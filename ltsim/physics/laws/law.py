@@ -48,8 +48,8 @@ MAX_STEPS_IN_MOVED_LAW = 4
 """Largest number of steps and ramps of a law for which a local search tries other positions, because each costs
 time."""
 MAX_STEP_MOVE_GAPS = 6
-"""Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also
-the smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
+"""Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
+number of gaps between two steps (a few pointings do not determine the size of a step)."""
 FUNCTIONS_WITH_SCALED_CONSTANT = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),

@@ -244,7 +244,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions that act in one part of the measurement; `function` is empty or `DEFLECTION_FUNCTION`."""
+    """Regressors of regions of the hall that act during a part of the measurement; `function` as in `Regressor`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MAX_SEPARATE_AMOUNTS or not regions:
         return
