@@ -91,5 +91,5 @@ def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
         ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_setup_components), 4).tolist())
         law = EmpiricalLaw(stations, (), stand, bare.regressor, has_coefficients_per_setup=each, component_ratio=ratio)
         assert parse_law("position of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
-    with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
+    with pytest.raises(ModelError, match="a ratio of 2 components; expected 3"):
         parse_law("position of the stand", "time, components in the ratio 0.6 / 0.8", recording)
