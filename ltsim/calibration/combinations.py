@@ -45,7 +45,7 @@ class DeterminedEntry(CombinationTerms):
     unit: str = ""
     """Unit of value and standard deviation."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
 
 UNDETERMINED_TABLE = Table(

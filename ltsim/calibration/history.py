@@ -25,7 +25,7 @@ class ParameterHistory(Entry):
     unit: str = ""
     """Unit of all numbers of the entry."""
     values: tuple[Finite, ...]
-    """Estimates, one per calibration."""
+    """Estimates of the parameter, one per calibration."""
     sigmas: tuple[NotNegative, ...]
     """Standard deviations of the estimates, one per calibration."""
     prior_sigma: OptionalFloat = None

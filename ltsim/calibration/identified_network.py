@@ -82,13 +82,13 @@ class IdentifiedNetwork:
 
     @property
     def corrections_text(self) -> str:
-        """Sentence on the number of causes in the model and on where they act; empty without a cause."""
+        """Sentence on the number and place of the identified causes of a misfit in the model; empty without a cause."""
         excluded_names = [test.name for test in self.adjustment.rejected_references]
         return corrections_sentence(self.tests, excluded_names)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on the causes in the model, and on readings that contradict the model; empty without either."""
+        """Sentences on the causes in the model, and on readings that contradict the model; empty without any."""
         return tuple(dict.fromkeys(filter(None, (self.corrections_text, *self.warnings))))
 
     @property

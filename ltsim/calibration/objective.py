@@ -27,7 +27,7 @@ class PairDistances:
     """Distances between pairs of targets within each set of pointings (one station and one face), with derivatives."""
 
     lengths: Floats
-    """Distances, shape (distances,) [m]."""
+    """Distances between the two targets of each pair, shape (distances,) [m]."""
     target_pair_indices: Ints
     """Index of the pair of targets to which each distance belongs, shape (distances,)."""
     parameter_derivatives: Floats

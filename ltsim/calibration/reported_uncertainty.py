@@ -51,7 +51,10 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
-    """Copy of a calibration with reported standard deviations (see module) of targets, stations and parameters."""
+    """Copy of a calibration whose standard deviations include errors of the air and a contradiction of the model.
+
+    They are multiplied by sigma0 if the readings contradict the model.
+    """
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(
         calibration.fit, is_sigma0_credible=verdict.is_sigma0_credible if verdict.case else None

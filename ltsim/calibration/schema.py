@@ -84,7 +84,7 @@ class ParameterEntry(Entry):
     value than `value` is applied if it is expected to make points more accurate. For a parameter that the readings
     hardly determine, the prior mean is applied."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
     @property
     def variance_reduction(self) -> float:
@@ -108,7 +108,7 @@ class HarmonicEntry(Entry):
     sigma_phase_deg: OptionalFloat = None
     """Standard deviation of the phase [deg]."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
 
 class StationPose(Entry):
@@ -343,12 +343,12 @@ class FittedEffectEntry(Entry):
 
 
 class ReflectorEntry(Entry):
-    """Incidence error of a reflector in fixed nests, estimated with the network."""
+    """Incidence error (range error by angle of incidence) of a reflector in fixed nests, estimated with the network."""
 
     reflector: str = ""
     """Name of the reflector; empty if the recording names none."""
     parameters: tuple[FittedParameterEntry, ...]
-    """Parameters of the effect `smr-incidence`."""
+    """Parameters of the reflector's incidence error, as in the effect `smr-incidence`."""
 
 
 PARAMETERS_TABLE = Table(

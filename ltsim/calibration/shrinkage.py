@@ -52,8 +52,7 @@ MIN_HELD_OUT_IMPROVEMENT = 2.0
 MAX_DENSE_UNKNOWNS = 500
 """Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets with predicted readings for which the prediction without a parameter is
-tested."""
+"""Smallest number of held-out targets for which it is tested whether they are predicted better without a parameter."""
 
 
 def recommend_correction(

@@ -79,9 +79,9 @@ class EffectDescription(Description):
     provider: str
     """Name and version of the package that provides the effect; `ltsim` for a built-in effect."""
     title: str
-    """Name of the physical cause."""
+    """Title of the effect: the name of its physical cause."""
     cause: str
-    """Description of the physical cause."""
+    """Description of the physical cause of the effect."""
     equation: str
     """Equation of the effect with its sign."""
     typical_sizes: str

@@ -218,9 +218,9 @@ class ChainErrorTerm:
 
 @dataclass(frozen=True)
 class ChainErrorEffect(Effect):
-    """Base class of geometric errors of the instrument, whose parameters are errors of its kinematic chain.
+    """Base class of geometric errors of the instrument: errors of its kinematic chain.
 
-    `GeometricErrorModel` evaluates the errors exactly; `design` is their first-order form.
+    `GeometricErrorModel` evaluates a geometric error exactly; `design` is the first-order form.
     """
 
     terms: ClassVar[tuple[ChainErrorTerm, ...]]

@@ -23,7 +23,7 @@ MAX_CANDIDATE_WAVE_PHASE_ERROR = 0.125
 determines the spacing of the wavelengths. The error occurs at both ends of the interval of measured ranges if the
 phase is right in the middle."""
 MAX_N_CANDIDATE_WAVELENGTHS = 1200
-"""Largest number of wavelengths that a search tries."""
+"""Largest number of wavelengths of a cyclic range error that a search tries."""
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from ltsim.scene.sightings import Sightings
 class StationBump(StationMotionEffect):
     """Station bumped: the tripod was touched, and the station has another pose from then on.
 
-    pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step function H and the time t_b of the bump. The
-    parameters are the station's motion in the network frame, with the rotation as a vector through the station's origin
-    (no correction of a reading).
+    At the time t the pose of the station is pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step
+    function H and the time t_b of the bump. The parameters are the station's motion in the network frame, with the
+    rotation as a vector through the station's origin (no correction of a reading).
 
     Size: 5 um and 5 urad up to millimetres; it is detected from 5.6 um together with 4 urad on.
     Similar to: station-settling (smooth), range-step (ranges only), target-swap.

@@ -17,10 +17,10 @@ about y, and translation along z."""
 class StationSettling(StationMotionEffect):
     """Settling of a station: tripod, stand or floor yield after the set-up, or the stand warms up.
 
-    pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), with the time t_i since the station's first pointing and the
-    time constant tau. The parameters are the final motion of the station itself in the network frame (no correction of
-    a reading): rotations about x and y through its origin, and a rise. The settling starts again at the next station
-    and is the same in both faces.
+    At the time t the pose of the station is pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), with the time t_i
+    since the station's first pointing and the time constant tau. The parameters are the final motion of the station
+    itself in the network frame (no correction of a reading): rotations about x and y through its origin, and a rise.
+    The settling starts again at the next station and is the same in both faces.
 
     Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14
     um/K.

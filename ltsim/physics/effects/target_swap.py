@@ -38,7 +38,7 @@ class TargetSwap(Blunder):
         return [cls((station,), pair) for station in sightings.station_names for pair in name_pairs]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings in which the two targets with exchanged names are exchanged."""
+        """Sightings with the two targets as they were measured; the recording exchanges their names."""
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)

@@ -29,8 +29,8 @@ N_FACTOR_CURVE_MODES = 4
 N_MODES_OF_FINER_CURVE = 32
 """Number of eigenfunctions (modes) of a finer curve, which a search tries in place of the selected smooth curve."""
 EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
-"""Width of the interval at whose ends all eigenfunctions are zero, divided by the range of the covariate. It is
-above 1, because a smooth curve need not be zero at the ends of the range."""
+"""Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the range of the
+covariate. The ratio is above 1, because a smooth curve need not be zero at the ends of the range."""
 LENGTH_SCALES_BY_N_MODES = {
     N_CURVE_MODES: (0.9, 0.4, 0.18),
     N_FACTOR_CURVE_MODES: (0.6,),

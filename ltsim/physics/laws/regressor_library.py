@@ -140,7 +140,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Exponent of `ODDS_PER_OPERATOR`, by kind of regressor: number of operators plus factors after the first."""
+"""Number of operators (such as a lag) plus further factors, by kind of regressor: exponent of `ODDS_PER_OPERATOR`."""
 
 
 def varying_column_names(sightings: Sightings) -> list[str]:

@@ -289,7 +289,10 @@ class Regressor:
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Product of this regressor (without a field) and a regressor with a separate value for each of `targets`."""
+        """Product of this regressor, without a polynomial of the position (`field`), and a value per target.
+
+        `targets` are the names of the targets with a separate value.
+        """
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*other_factors, separate_amounts))

@@ -100,7 +100,7 @@ UNIT_COVARIATE_BY_FUNCTION = {
 """Covariate that gives the constant of a formula its unit, by function. For other functions it is the covariate to
 which the function is applied."""
 MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
-"""Smallest value that is displayed in a unit, by unit; smaller ones have the next smaller unit, as 90 s or 400 mm."""
+"""Smallest value that is displayed in a unit, by unit; a smaller one has a smaller unit (90 s, not 1.5 min)."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text form of a law with separate coefficients for each set-up."""
 FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
@@ -142,7 +142,7 @@ def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
-    """Text form of a regressor; without a clock, times count the rows of the recording."""
+    """Text form of a regressor, such as ``exp(-time / 8 min)``; without a clock, times count rows of the recording."""
     if regressor.has_curve_per_instrument:
         return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
@@ -184,7 +184,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text that follows the regressor of a law: separate coefficients per set-up, fixed ratio of components."""
+    """Text that follows the regressor in the text form of a law: coefficients per set-up, ratio of components."""
     values = " / ".join(f"{r:.4g}" for r in law.component_ratio)
     ratio = FIXED_RATIO_SUFFIX.format(values=values) if values else ""
     return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
@@ -210,7 +210,7 @@ TEXT_FORM_EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of the text form of a regressor."""
+"""Examples of the text form of a regressor, for messages."""
 _NUMBER_PATTERN = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:e[-+]?\d++)?+"
 _PLACEHOLDER_PATTERNS = {
     "x": "(?P<x>.+)",
@@ -283,7 +283,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODES) -> Regressor:
-    """Regressor from its text form (see `regressor_text`); a smooth curve has `n_modes` eigenfunctions.
+    """Regressor from its text form, such as ``exp(-time / 8 min)``; a smooth curve has `n_modes` eigenfunctions.
 
     Raises ModelError for a text that is no regressor of the recording.
     """
