@@ -56,7 +56,7 @@ def calibrate_network(
     parameter_selection : ParameterSelection, optional
         Parameters to estimate, and their prior. Default: all, with the prior of the set-up.
     choose_correction : bool
-        True to shrink the correction (`calibration.shrinkage`), to widen the prior of constants that contradict it, and
+        True to shrink the correction (`calibration.shrinkage`), to widen priors that the readings contradict, and
         to identify single causes of a misfit, such as a moved station. If False, the model and the priors are the
         declared ones, and the estimates are linear in the readings.
     requested_effects : sequence of RequestedEffect

@@ -14,7 +14,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
 from ltsim.physics.laws.catalogue_names import equivalent_effect_name
-from ltsim.physics.laws.columns import N_FACTOR_CURVE_MODES
+from ltsim.physics.laws.columns import N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import ODDS_PER_OPERATOR
 from ltsim.physics.laws.regressors import (
@@ -81,7 +81,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
         factor = (
             weight
             if weight.region is not None
-            else Regressor("product", factors=(smooth_regressor("time", N_FACTOR_CURVE_MODES), weight))
+            else Regressor("product", factors=(smooth_regressor("time", N_PRODUCT_CURVE_MODES), weight))
         )
         alone = replace(refined, regressor=factor)
         products += switched_forms(calculator, alone, prior, conditioning_model, refines_region=False)

@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
-from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.places import (
     LawPlace,
     group_places,
@@ -50,7 +50,7 @@ TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
 group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_CURVE_MODES` basis
-functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_FACTOR_CURVE_MODES`."""
+functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_PRODUCT_CURVE_MODES`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
 """Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
 adjustment absorbs about half of the information of the pointings.
@@ -125,7 +125,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
     setup_regressors = (
         general_regressors
         if median_pointings > MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE * N_CURVE_MODES
-        else candidate_regressors(s, N_FACTOR_CURVE_MODES)
+        else candidate_regressors(s, N_PRODUCT_CURVE_MODES)
     )
     setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [

@@ -56,11 +56,18 @@ class ShapeParameterDescription(Description):
     """Largest value of the shape parameter that a diagnosis tries, in `unit`."""
 
     @classmethod
-    def from_shape_parameter(cls, constant: ShapeParameter) -> Self:
+    def from_shape_parameter(cls, shape_parameter: ShapeParameter) -> Self:
         """Description of a shape parameter of an effect in its display unit."""
-        lower, upper = (bound / SI_PER_UNIT[constant.unit] for bound in (constant.lower_bound, constant.upper_bound))
+        lower, upper = (
+            bound / SI_PER_UNIT[shape_parameter.unit]
+            for bound in (shape_parameter.lower_bound, shape_parameter.upper_bound)
+        )
         return cls(
-            name=constant.name, unit=constant.unit, meaning=constant.description, lower_bound=lower, upper_bound=upper
+            name=shape_parameter.name,
+            unit=shape_parameter.unit,
+            meaning=shape_parameter.description,
+            lower_bound=lower,
+            upper_bound=upper,
         )
 
 

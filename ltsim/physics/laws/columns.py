@@ -24,17 +24,17 @@ CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 N_CURVE_MODES = 9
 """Number of eigenfunctions of the Laplacian (modes) of which a search composes a smooth curve. For the shortest
 length scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
-N_FACTOR_CURVE_MODES = 4
+N_PRODUCT_CURVE_MODES = 4
 """Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law of a single target."""
-N_MODES_OF_FINER_CURVE = 32
+N_FINER_CURVE_MODES = 32
 """Number of eigenfunctions (modes) of a finer curve, which a search tries in place of the selected smooth curve."""
 EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the range of the
 covariate. The ratio is above 1, because a smooth curve need not be zero at the ends of the range."""
-LENGTH_SCALES_BY_N_MODES = {
+LENGTH_SCALES_BY_N_CURVE_MODES = {
     N_CURVE_MODES: (0.9, 0.4, 0.18),
-    N_FACTOR_CURVE_MODES: (0.6,),
-    N_MODES_OF_FINER_CURVE: (0.07,),
+    N_PRODUCT_CURVE_MODES: (0.6,),
+    N_FINER_CURVE_MODES: (0.07,),
 }
 """Length scales of a smooth curve (of the kernel of its Gaussian process), by the number of its eigenfunctions. They
 are fractions of half the range of the covariate, or radians for an angle on a full circle."""
@@ -120,18 +120,21 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve: one array per length scale.
 
     `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; it is omitted for
-    an angle on a full circle, and if `n_modes` is `N_FACTOR_CURVE_MODES`.
+    an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
     """
     spreads = []
     if is_circular:
         orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
-        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]]
+        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_CURVE_MODES[n_modes]]
     else:
         rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO
         spreads = [
-            np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]
+            np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)])
+            for scale in LENGTH_SCALES_BY_N_CURVE_MODES[n_modes]
         ]
-        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_FACTOR_CURVE_MODES else []
+        spreads += (
+            [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_PRODUCT_CURVE_MODES else []
+        )
     return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
 from ltsim.physics.laws.accumulations import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
-from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES, N_MODES_OF_FINER_CURVE, indicator_columns
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_FINER_CURVE_MODES, N_PRODUCT_CURVE_MODES, indicator_columns
 from ltsim.physics.laws.formula_regressors import formula_regressors
 from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressor_library import (
@@ -264,7 +264,7 @@ class EmpiricalLaw(CandidateEffect):
         """Other forms of the law by kind (`curve`, `formula`): lists of laws that differ only in the length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
-            n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_FACTOR_CURVE_MODES else N_CURVE_MODES
+            n_modes = N_FINER_CURVE_MODES if regressor.constant > N_PRODUCT_CURVE_MODES else N_CURVE_MODES
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
         if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_SEPARATE_AMOUNTS and self.response.changed_part == "target":
             per_target = regressor.with_amount_per_target(self.targets)

@@ -20,7 +20,7 @@ from ltsim.physics.laws.accumulations import (
     candidate_accumulation_keys,
     candidate_latch_keys,
 )
-from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
@@ -89,8 +89,8 @@ COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "air": CLOCK_COVARIATES,
 }
 """Names of the covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the
-recording. The position of a wall, for example, cannot depend on the direction in which a tracker points. The
-position of a stand can, because a head is not balanced exactly and the floor yields under the operator."""
+recording. The position of a wall cannot depend on the direction in which a tracker points. The position of a stand
+can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
 """Effective number of targets in a region of the hall above which a search tries a law of these targets."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
@@ -265,7 +265,7 @@ def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
     straight = [scalar_regressor(name, "power") for name in names]
     return [
         *straight,
-        *(smooth_regressor(name, N_FACTOR_CURVE_MODES) for name in names),
+        *(smooth_regressor(name, N_PRODUCT_CURVE_MODES) for name in names),
         *lag_regressors(sightings, varying_column_names(sightings)),
     ]
 
@@ -278,7 +278,7 @@ def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regress
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
         "curve": [
-            smooth_regressor(name, N_FACTOR_CURVE_MODES)
+            smooth_regressor(name, N_PRODUCT_CURVE_MODES)
             for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
         ],
         "clock": local,
@@ -338,13 +338,13 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
     if 1 < trackers <= MAX_SEPARATE_AMOUNTS:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
-            Regressor("product", factors=(smooth_regressor(name, N_FACTOR_CURVE_MODES), by_instrument))
+            Regressor("product", factors=(smooth_regressor(name, N_PRODUCT_CURVE_MODES), by_instrument))
             for name in names
         )
     for sign in _varying_covariates(sightings, _SIGN_COVARIATES[:3]):
         yield from (
             Regressor(
-                "product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_FACTOR_CURVE_MODES))
+                "product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_PRODUCT_CURVE_MODES))
             )
             for name in names
         )
@@ -354,7 +354,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         fading = [accumulation_regressor(*key) for key in state_keys if key[1] == TIME_DECAY_FUNCTION]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += (
-        [smooth_regressor("lapse", N_FACTOR_CURVE_MODES)] if np.ptp(sightings.covariate_values["lapse"]) > 0 else []
+        [smooth_regressor("lapse", N_PRODUCT_CURVE_MODES)] if np.ptp(sightings.covariate_values["lapse"]) > 0 else []
     )  # the effect of a motion may decay
     for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
         lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
@@ -366,7 +366,10 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         ) and second not in _CIRCLE_COVARIATES:
             yield Regressor(
                 "product",
-                factors=(smooth_regressor(first, N_FACTOR_CURVE_MODES), smooth_regressor(second, N_FACTOR_CURVE_MODES)),
+                factors=(
+                    smooth_regressor(first, N_PRODUCT_CURVE_MODES),
+                    smooth_regressor(second, N_PRODUCT_CURVE_MODES),
+                ),
             )
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import N_CURVE_MODES, N_FACTOR_CURVE_MODES
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, MEMORY_OPERATOR_PREFIXES
 from ltsim.physics.laws.regressors import (
@@ -293,7 +293,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODE
         return Regressor(
             "product",
             factors=(
-                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_FACTOR_CURVE_MODES),
+                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_PRODUCT_CURVE_MODES),
                 by_instrument,
             ),
         )
@@ -304,7 +304,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODE
     if len(factors) > 1:
         return Regressor(
             "product",
-            factors=tuple(parse_regressor(factor.strip(), recording, N_FACTOR_CURVE_MODES) for factor in factors),
+            factors=tuple(parse_regressor(factor.strip(), recording, N_PRODUCT_CURVE_MODES) for factor in factors),
         )
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])
