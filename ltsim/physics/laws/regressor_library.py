@@ -1,9 +1,8 @@
 """Library of the regressors that a search tries: functions of base quantities and of the order of the pointings.
 
-Base quantities are the readings and the position of a pointing, the time, and the additional columns of the recording.
-Operators make further regressors of them: the value at the previous pointing, the change since then, accumulated
-changes, a first-order lag, and a separate value per station or per previous target. Each operator, and each product,
-multiplies the prior odds by `ODDS_PER_OPERATOR`.
+Base quantities are readings and position of a pointing, the time, and additional columns of the recording. Operators
+make further regressors: the value at the previous pointing, the change since then, accumulated changes, a lag, and a
+value per station or previous target. Each operator, and each product, multiplies the prior odds by `ODDS_PER_OPERATOR`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
