@@ -17,8 +17,9 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_COMBINED_TO_UNCORRELATED_SIGMA_RATIO = 0.25
-"""Largest ratio of two standard deviations of a reported combination of parameters: the estimated one, and the one
-for uncorrelated estimates of its parameters. The readings thus determine the combination four times better or more."""
+"""Largest ratio of the standard deviation of a reported combination of parameters to its value for uncorrelated
+estimates of the parameters. A reported combination is thus determined at least four times better than its parameters
+suggest."""
 MAX_TRUNCATED_TO_FULL_SIGMA_RATIO = 1.2
 """Largest factor by which the standard deviation of a combination may increase when the parameters with the smallest
 coefficients are omitted from it."""

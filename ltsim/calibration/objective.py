@@ -63,7 +63,8 @@ class DistanceProblem:
     def _averaging_matrix(self) -> tuple[sp.csr_array, Floats]:
         """Matrix (mean points, pointings) that averages the pointings of each set to each target, with indices.
 
-        The indices (mean points, 2) are the set (station and face) and the target of each mean point.
+        A set is the pointings of one station in one face. The indices (mean points, 2) are the set and the target of
+        each mean point.
         """
         n_targets = len(self.recording.targets)
         key = self.station_face_indices * n_targets + self.recording.target
@@ -75,7 +76,10 @@ class DistanceProblem:
 
     @cached_property
     def _distance_end_and_pair_indices(self) -> tuple[Ints, Ints, Ints]:
-        """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
+        """Indices of the first and second mean point of each distance, and the index of its pair of targets.
+
+        A mean point is the mean of the pointings of one station and face to a target.
+        """
         sets, target = self._averaging_matrix[1].T
         a, b = _pairs_within_groups(
             np.flatnonzero(sets == number) for number in range(int(self.station_face_indices.max(initial=-1)) + 1)
@@ -103,7 +107,8 @@ class DistanceProblem:
     def _distances_and_derivatives(self, point: Floats, point_derivatives: Floats) -> tuple[Floats, Floats, Floats]:
         """Distances between mean points, unit vectors along them, and derivatives with respect to the parameters.
 
-        The shapes are (distances,), (distances, 3) and (distances, parameters).
+        A mean point is the mean of the pointings of one station and face to a target. The shapes are (distances,),
+        (distances, 3) and (distances, parameters).
         """
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices

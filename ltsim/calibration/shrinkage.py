@@ -48,7 +48,7 @@ MAX_PRIOR_SCALE = 30.0
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
 """Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals without a parameter, above which it is not applied (Akaike: 2)."""
+"""Decrease of the sum of squared held-out residuals without a parameter (2: Akaike) above which it is not applied."""
 MAX_DENSE_UNKNOWNS = 500
 """Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
@@ -191,7 +191,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence for users on the scale of the prior, if it was estimated or 1 was rejected; empty otherwise."""
+        """Sentence for users on the scale of the prior; empty unless the scale was estimated or the scale 1 rejected."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits

@@ -312,7 +312,7 @@ class MeasurementModel:
         return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
-        """Parameter values of each of `effects_and_nuisance_errors`; zeros if there are fewer than q values."""
+        """Parameter values of each of `effects_and_nuisance_errors`; values that `parameters` lacks are zero."""
         n_parameters = [len(effect.parameters) for effect in self.effects_and_nuisance_errors]
         all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
         return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
