@@ -191,7 +191,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence for users on the scale of the prior; empty unless the scale was estimated or the scale 1 rejected."""
+        """Sentence for users on the scale of the prior; empty unless it was estimated or the scale 1 rejected."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
