@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_INCIDENCE_RANGE_ERRORS
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE
@@ -33,7 +33,7 @@ LOBES = (2, 3, 5)
 class BenchTest:
     """What is true on the bench; SI."""
 
-    table: Floats = field(default_factory=lambda: np.array(PAPER_RANGE_ERRORS))
+    table: Floats = field(default_factory=lambda: np.array(PAPER_INCIDENCE_RANGE_ERRORS))
     """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `INCIDENCE_TABLE_ANGLES`."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""

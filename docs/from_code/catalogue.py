@@ -59,11 +59,11 @@ def _card(effect: EffectDescription) -> list[str]:
     lines += [f"{label}\n: {_text(text)}\n" for label, text in effect.labelled_texts]
     sizes = [[f"`{p.name}`", f"{p.plausible_size:.3g}", p.unit, _text(p.meaning)] for p in effect.parameters]
     lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
-    constants = [
+    shape_parameters = [
         [f"`{s.name}`", f"{s.lower_bound:.4g} to {s.upper_bound:.4g}", s.unit, _text(s.meaning)]
         for s in effect.constants
     ]
-    return [*lines, "", *markdown(["constant", "searched", "unit", "meaning"], constants)]
+    return [*lines, "", *markdown(["shape parameter", "searched", "unit", "meaning"], shape_parameters)]
 
 
 def _law(law: str) -> str:

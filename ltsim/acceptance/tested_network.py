@@ -62,7 +62,7 @@ class TestedNetwork:
     @cached_property
     def _extra_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
         """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
-        effects = self.adjustment.problem.model.extra_effects
+        effects = self.adjustment.problem.model.effects_and_nuisance_errors
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
         return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]
 

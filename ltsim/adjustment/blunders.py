@@ -21,7 +21,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -159,7 +159,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
     )
     lift = np.zeros((len(recording), 3))
     lift[indices] = vertical_parts[:, None] * plumb_lines
-    new_readings = recording.readings - exact_change_by_displacement(adjustment.sightings, lift)
+    new_readings = recording.readings - reading_change_by_displacement(adjustment.sightings, lift)
     rows_by_setup: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero((np.abs(vertical_parts) > MAX_TRACKER_ERROR) & is_vertical):
         key = (

@@ -135,7 +135,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
     space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
     axes = 2 if model.height_errors else 3  # with estimated instrument heights, heights show no centring error
-    height_sigma = max((heads.sigma for heads in model.height_errors), default=0.0)
+    height_sigma = max((heads.height_sigma for heads in model.height_errors), default=0.0)
     axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {
         i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])

@@ -215,10 +215,10 @@ def _without_wrong_references(
     tested, tested_state = problem.with_instrument_constants(start_state)
     remaining, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
     if tested is problem and requires_instrument_constants_for_points(remaining, solution):
-        with_constants, state = problem.with_instrument_constants(start_state, requires_length=False)
-        snooped = snoop_references(with_constants, solve(with_constants, state), tested_reference_kinds)
+        with_shape_parameters, state = problem.with_instrument_constants(start_state, requires_length=False)
+        snooped = snoop_references(with_shape_parameters, solve(with_shape_parameters, state), tested_reference_kinds)
         if passes_global_test(*snooped[:2]):
-            tested, (remaining, solution, wrong) = with_constants, snooped
+            tested, (remaining, solution, wrong) = with_shape_parameters, snooped
     if tested is problem:
         return remaining, solution, wrong
     model = replace(problem.model, recording=remaining.model.recording)

@@ -333,7 +333,7 @@ class NetworkProblem(NetworkRows):
     def _reference_length_design(self, state: NetworkState) -> Floats:
         """Changes (g, q) of g reference lengths per unit of each of the q parameters of additional effects."""
         ends = self.gauge_rows.first_targets, self.gauge_rows.second_targets
-        columns = [effect.gauge_design(*ends, state.target_points) for effect in self.model.extra_effects]
+        columns = [effect.gauge_design(*ends, state.target_points) for effect in self.model.effects_and_nuisance_errors]
         return np.hstack([np.zeros((len(self.gauge_rows), 0)), *columns])
 
     def _datum_rows(self, state: NetworkState) -> Floats:

@@ -205,10 +205,10 @@ def reference_tests_with_instrument_constants(
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)
     if tested is problem and requires_instrument_constants_for_points(problem, solution):
-        with_constants, state = problem.with_instrument_constants(solution.x, requires_length=False)
-        other_solution = solve(with_constants, state)
-        if passes_global_test(with_constants, other_solution):
-            tested, tested_solution = with_constants, other_solution
+        with_shape_parameters, state = problem.with_instrument_constants(solution.x, requires_length=False)
+        other_solution = solve(with_shape_parameters, state)
+        if passes_global_test(with_shape_parameters, other_solution):
+            tested, tested_solution = with_shape_parameters, other_solution
     tests = scaled_reference_tests(tested, tested_solution)
     residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
     return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)

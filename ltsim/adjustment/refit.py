@@ -55,7 +55,7 @@ class LinearisedShapeConstant(LinearEffect):
         """Derivatives (n, 3, 1) of the readings of n pointings by the relative change of the shape constant."""
         now, values = self.present_shape_value, np.array(self.parameter_values)
         up, down = (
-            self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
+            self.effect.with_shape_parameters(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
             for s in (SHAPE_CHANGE_TOLERANCE, -SHAPE_CHANGE_TOLERANCE)
         )
         change: Floats = ((up - down) / (2 * SHAPE_CHANGE_TOLERANCE))[:, :, None]
@@ -246,7 +246,9 @@ def _effects_with_changed_shapes(
     moves = [
         {d.shape_parameter.name: d.changed_shape_value(next(change)) for d in group} for group in linearised_constants
     ]
-    return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
+    return [
+        effect.with_shape_parameters(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)
+    ]
 
 
 def _estimates_with_uncertainty(

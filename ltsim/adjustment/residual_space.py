@@ -163,7 +163,7 @@ class ResidualSpace:
             rows = np.flatnonzero(errors.occupation_indices >= 0)
             slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
             slope = np.where(self.is_used_reading[rows, :, None], slope, 0.0)
-            normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
+            normals = np.tile(np.eye(3) / errors.displacement_sigma**2, (errors.n_occupations, 1, 1))
             np.add.at(normals, errors.occupation_indices[rows], np.einsum("nki,nkj->nij", slope, slope))
             entries.append((rows, errors.occupation_indices[rows], slope, normals))
         return entries

@@ -1,1 +1,1 @@
-"""Calibration of a tracker: its parameters from a recording, undetermined combinations, and corrected readings."""
+"""Calibration of a tracker: instrument parameters from a recording, undetermined combinations, corrected readings."""

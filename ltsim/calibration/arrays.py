@@ -1,4 +1,4 @@
-"""Arrays of a calibration in SI units, their construction from a file, and the tables of its targets and residuals."""
+"""Arrays of a calibration in SI units, their construction from a file, and tables of targets and residuals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class CalibrationArrays(ValueEquality):
     """Arrays of a calibration in SI units: parameters of each instrument, and coordinates of the targets."""
 
     construction: GeometricErrorModel
-    """Instrument model whose parameters were estimated."""
+    """Geometric error model whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""
     estimates: Floats
@@ -34,21 +34,23 @@ class CalibrationArrays(ValueEquality):
     prior_sigma: Floats
     """Prior standard deviations of the parameters of each instrument, shape (instruments, parameters) [SI]."""
     covariance: Floats
-    """Covariance of the parameters of all instruments, instrument by instrument, shape (parameters, parameters) [SI].
-    Rows and columns of fixed parameters are zero."""
+    """Covariance of the parameters of all instruments, instrument by instrument, shape (parameters, parameters)
+    [SI]. Rows and columns of fixed parameters are zero."""
     is_fixed: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Mask (instruments, parameters) of the parameters that were not estimated but fixed at a value."""
+    """Mask (instruments, parameters) of the parameters that were fixed at a value instead of being estimated."""
     is_prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """Mask (instruments, parameters) of the parameters that were estimated without their prior, because the readings
-    contradict this prior."""
+    contradict it."""
     applied_values: Floats | None = None
-    """Parameters that are removed from readings, shape (instruments, parameters) [SI]. None means the estimates."""
+    """Parameters that a correction removes from readings, shape (instruments, parameters) [SI]. None means the
+    estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Orthonormal combinations of the parameters that a distance method does not determine and sets to zero.
+    """Orthonormal combinations of the parameters that a distance method cannot determine and therefore sets to zero.
 
-    The shape is (combinations, instruments times parameters); the unit is the prior standard deviation."""
+    The shape is (combinations, instruments times parameters); the unit is the prior standard deviation.
+    """
     target_names: tuple[str, ...] = ()
-    """Names of the targets."""
+    """Names of the adjusted targets."""
     target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Coordinates of the targets, shape (targets, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
@@ -68,18 +70,17 @@ class CalibrationArrays(ValueEquality):
 
     @property
     def effective_prior_sigma(self) -> Floats:
-        """Standard deviations of the prior used in the estimation, shape (instruments, parameters) [SI].
+        """Standard deviations of the prior as used in the estimation, shape (instruments, parameters) [SI].
 
-        A prior that the readings contradict was widened by `WIDENED_SIGMA_FACTOR`.
+        A prior that the readings contradict is wider by the factor `WIDENED_SIGMA_FACTOR`.
         """
         return np.where(self.is_prior_rejected, WIDENED_SIGMA_FACTOR, 1.0) * self.prior_sigma
 
     @property
     def negative_bias_operator(self) -> Floats:
-        """Matrix B of the bias by the prior: the expected error of the estimates is -B x for the true parameters x.
+        """Matrix B of the bias by the prior: for true parameters x the expected error of the estimates is -B x.
 
-        The shape is (parameters, parameters), for the parameters of all instruments in units of their prior standard
-        deviations.
+        The shape is (parameters, parameters), for the parameters of all instruments in prior standard deviations.
         """
         if self.null_space is not None:
             return self.null_space.T @ self.null_space
@@ -87,7 +88,7 @@ class CalibrationArrays(ValueEquality):
         return self.covariance / np.outer(unit, unit)
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> CalibrationArrays:
-        """Arrays of one instrument and of its parameters with the given indices."""
+        """Arrays of the instrument with index `instrument`, reduced to the parameters with the given indices."""
         row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_indices
         return replace(
             self,
@@ -109,7 +110,7 @@ def arrays_from_file_rows(
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
-    Without a covariance in the file the parameters are uncorrelated. Missing parameters are zero with their prior
+    Without a covariance in the file the parameters count as uncorrelated. Missing parameters are zero with their prior
     standard deviation.
 
     Raises
@@ -170,9 +171,9 @@ def _parameter_vector_indices(
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the parameters of a file in the flat vector of the parameters of all instruments.
+    """Indices of a file's parameters in the vector of the parameters of all instruments.
 
-    Unknown names, unknown units and repeated parameters raise RecordError.
+    Raises RecordError for unknown names, unknown units and repeated parameters.
     """
     flat_indices: list[int] = []
     for number, row in enumerate(parameter_entries, start=1):
@@ -192,7 +193,7 @@ def _parameter_vector_indices(
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """Table of the coordinates and standard deviations of targets.
+    """Table of the coordinates of targets with standard deviations.
 
     `points` (targets, 3) [m] are the coordinates, `covariance` (targets, 3, 3) [m^2] is the covariance of each target.
     A target without determined coordinates has no row; a target without a determined height has an empty cell.
@@ -204,7 +205,7 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
-    """Table of residuals with one row for each observation in use; row numbers of the recording start at 1."""
+    """Table of residuals with one row for each observation in use; the row numbers of the recording start at 1."""
     recording = adjustment.recording
 
     def table_row(pointing_index: int, observable_index: int) -> list[object]:

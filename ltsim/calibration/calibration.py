@@ -49,87 +49,86 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
-"""Type of the result entries that are made for each instrument."""
+"""Type of a result entry of which each instrument has several."""
 MAX_SIGMA_TO_PRIOR_SIGMA_RATIO = 0.975
-"""Ratio of the posterior to the prior standard deviation below which a parameter counts as determined: the readings
-then removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
+"""Ratio of the posterior to the prior standard deviation below which a parameter counts as determined. At this ratio
+the readings removed 5 % of the prior variance (0.975 squared is 0.95)."""
 MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST = 0.9
-"""Fraction of the total redundancy that belongs to readings with estimated noise, above which the global test is not
-valid: the estimation of the noise makes chi-square equal to the redundancy."""
+"""Fraction of the redundancy with estimated noise above which the global test is not valid, because the estimation
+of the noise makes chi-square equal to the redundancy."""
 
 
 FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that are not copied to a changed calibration: they are derived from its arrays, or set when it is written."""
+"""Names of the fields that a changed copy does not take over: they follow from its arrays or are set on writing."""
 
 
 def _none_if_empty(value: Any) -> Any:
-    """Value of a field of `calibration.json`; None if the file contains an empty object there."""
+    """Value of a field of `calibration.json`, with None in place of an empty object."""
     return value or None
 
 
 class Calibration(UncertaintyEntry, ResultFile):
-    """Result of `calibrate` and `adjust`, with the content of `calibration.json`.
+    """Calibration of instruments: result of `calibrate` and `adjust`, with the content of `calibration.json`.
 
     A file with the names, values and units of the parameters is sufficient to correct a recording.
     """
 
     FILE: ClassVar[str] = "calibration.json"
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
-    """Format and version of this file."""
+    """Name and version of the file format."""
     method: str = "network"
-    """Method: `network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`, or `adjustment` without parameters.
-    """
+    """Method: `network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`, or `adjustment` (no parameters)."""
     construction_name: str = Field(alias="construction")
-    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
+    """Name of the geometric error model: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
     fit: FitEntry = FitEntry()
-    """Agreement of readings and model."""
+    """Fit statistics: chi-square, sigma0, p-value and convergence."""
     frame: str = ""
-    """Description of the coordinate frame of all coordinates."""
+    """Description of the coordinate frame of the network."""
     parameters: tuple[ParameterEntry, ...]
-    """Estimates of the instrument's parameters."""
+    """Estimates of the instrument parameters."""
     parameter_covariance: tuple[tuple[Finite, ...], ...] = Field(default=(), alias="covariance")
-    """Covariance of the parameters, in the order and the units of `parameters`."""
+    """Covariance of the instrument parameters, in the order and the units of `parameters`."""
     harmonics: tuple[HarmonicEntry, ...] = ()
     """Amplitude and phase of each pair of a cosine and a sine parameter."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than their single parameters."""
+    """Combinations of parameters that the recording determines far better than the parameters themselves."""
     stations: tuple[StationPose, ...] = ()
-    """Poses of the stations."""
+    """Adjusted poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
-    """Disagreement of the stations before and after calibration; null for one station."""
+    """Disagreement of the stations in distances and coordinates, before and after calibration; null for one station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
     tests: tuple[CauseTest, ...] = ()
-    """Tests of single causes (a moved station, an outlier) that explain why readings and model disagree."""
+    """Tests of single causes of a misfit (such as a moved station or an outlier)."""
     robust: bool = False
     """True if outlying readings were excluded from the adjustment."""
     noise: tuple[NoiseRow, ...] = ()
-    """Noise estimated from the readings, one entry per group of readings."""
+    """Noise that was estimated from the readings, one entry per group of readings."""
     fit_with_constants: FitEntry | None = None
-    """Fit in which the instrument constants are estimated too; null unless the fit without constants is rejected."""
+    """Fit statistics if the instrument constants are estimated too; null unless the fit without them is rejected."""
     noise_estimated: bool = False
-    """True if the adjustment used noise that was estimated from the readings."""
+    """True if the adjustment used noise that was estimated from the readings in place of the declared noise."""
     verdict: VerdictEntry = VerdictEntry()
-    """Verdict on which test to trust, if the tests disagree."""
+    """Verdict on the test to trust, if the tests of the fit disagree."""
     reference_values: tuple[ReferenceValueEntry, ...] = ()
     """Reference coordinates, lengths and levels, each tested against all other observations."""
     undetermined_targets: tuple[str, ...] = ()
-    """Targets that their readings do not determine."""
+    """Names of the targets that their readings do not determine."""
     axes: AxesEntry | None = None
-    """Standard deviations of the coordinate axes, if declared coordinates define them (`--frame`)."""
+    """Standard deviations of the coordinate axes; null unless declared coordinates define them (`--frame`)."""
     correction: RecommendedCorrection | None = None
-    """Recommended correction of readings; null if none was requested."""
+    """Recommended correction of readings; null if none was computed."""
     effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects of the catalogue that were estimated with the parameters (`--with`)."""
+    """Effects and laws that were estimated with the parameters on request (`--with`)."""
     reflectors: tuple[ReflectorEntry, ...] = ()
-    """Incidence errors of the reflectors in fixed nests."""
+    """Estimated incidence errors of the reflectors in fixed nests."""
     has_history_prior: bool = False
-    """True if the prior comes from earlier calibrations."""
+    """True if the prior of the parameters comes from earlier calibrations."""
     notes: tuple[str, ...] = ()
     """Notes on how the result was obtained, one sentence each."""
     _arrays: CalibrationArrays | None = PrivateAttr(None)
@@ -140,7 +139,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         n_parameters = len(self.parameters)
         covariance_rows = self.parameter_covariance
         if covariance_rows and {len(covariance_rows), *map(len, covariance_rows)} != {n_parameters}:
-            raise ValueError(f"the covariance is not a square of {n_parameters} x {n_parameters} numbers")
+            raise ValueError(f"the covariance is not a matrix of {n_parameters} x {n_parameters} numbers")
         return self
 
     @field_serializer("criteria")
@@ -149,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """Calibration with the given arrays; `fields` are the other fields of the result."""
+        """Calibration with the given arrays; `fields` are the values of its other fields."""
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
@@ -175,12 +174,12 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
-        """Copy of the calibration with other arrays and fields."""
+        """Copy of the calibration with the given arrays and other values of the given fields."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in FIELDS_NOT_COPIED}
         return type(self).from_arrays(arrays, **{**fields, **changes})
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
-        """Copy of the calibration with the given arrays, and with warnings for a user who applies these parameters."""
+        """Copy of the calibration with the given arrays, and with warnings for users who apply its parameters."""
         result = self.model_copy()
         result._arrays, result._warnings = arrays, warnings
         return result
@@ -200,7 +199,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def construction(self) -> GeometricErrorModel:
-        """Instrument model whose parameters were estimated."""
+        """Geometric error model whose parameters were estimated."""
         return self.arrays.construction
 
     @property
@@ -235,7 +234,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def is_fixed(self) -> Bools:
-        """Mask (instruments, parameters) of the parameters that were fixed at a value and not estimated."""
+        """Mask (instruments, parameters) of the parameters that were fixed at a value instead of being estimated."""
         return self.arrays.is_fixed
 
     @property
@@ -266,7 +265,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def is_rejected(self) -> bool:
-        """True if the readings contradict the model: sigma0 is significantly above 1, not due to single readings."""
+        """True if the readings contradict the model: sigma0 is significantly above 1, not because of a few readings."""
         return self.uncertainty_factor > 1.0
 
     def _lines(self) -> list[str]:
@@ -278,8 +277,8 @@ class Calibration(UncertaintyEntry, ResultFile):
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
         lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
-            undetermined = f"{len(self.undetermined)} combinations are not determined"
-            held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
+            undetermined = f"undetermined combinations: {len(self.undetermined)}"
+            held = f" ({int(self.is_fixed.sum())} fixed)" if self.is_fixed.any() else ""
             lines.append(f"{count} parameters{held}, {n_determined} determined by the readings; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
@@ -316,9 +315,9 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:
-        """Incidence parameters, shape (14,) [SI], that a correction removes from readings, by the reflector's name.
+        """Parameters (14,) [SI] of incidence errors, by the reflector's name, that a correction removes from readings.
 
-        They are removed together with the instrument's parameters, or not at all.
+        The incidence errors are removed together with the instrument parameters, or not at all.
         """
         if not np.any(self.applied_values):
             return {}
@@ -329,18 +328,19 @@ class Calibration(UncertaintyEntry, ResultFile):
         }
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> Self:
-        """Calibration of the instrument with index `instrument` and of the given parameters, without `correction`."""
+        """Calibration of the instrument with index `instrument`, reduced to the parameters with the given indices."""
         return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
     def applied_values_for(self, recording: Recording) -> Floats:
-        """Parameters [SI] to remove from a recording, shape (parameters,), or (pointings, parameters) by pointing.
+        """Parameters [SI], (parameters,) or (pointings, parameters), that a correction removes from a recording.
 
-        Parameters of a single instrument apply to any recording, those of several to instruments of the same names.
+        Parameters of a single instrument apply to any recording. Parameters of several instruments apply to the
+        instruments with their names.
 
         Raises
         ------
         RecordError
-            When the calibration holds no parameters of an instrument of the recording.
+            When the calibration has no parameters of an instrument of the recording.
         """
         if len(self.instruments) == 1:
             return self.applied_values[0]
@@ -353,7 +353,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
 
 def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in display units, with the applied values (instruments, parameters) [SI] that differ."""
+    """Entries of the estimates in display units, and of `applied_values` (instruments, parameters) [SI] that differ."""
     is_multiple = len(arrays.instruments) > 1
     parameter_entries = []
     for i, instrument in enumerate(arrays.instruments):
@@ -380,7 +380,7 @@ def _entries_per_instrument(
     make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
-    """Entries of each instrument, from its estimates and covariance after the optional `transform`."""
+    """Entries of all instruments, made from estimates and covariance of each after the optional `transform`."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     flat_entries: list[EntryT] = []
     parameters = arrays.construction.parameters
@@ -394,7 +394,7 @@ def _entries_per_instrument(
 
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
-    """True if the noise was estimated from the same readings, so that the global test is not valid."""
+    """True if most of the noise was estimated from the same readings, so that the global test is not valid."""
     redundancy = sum(n.redundancy for n in noise)
     redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
     return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST * redundancy

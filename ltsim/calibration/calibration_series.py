@@ -1,8 +1,8 @@
 """Calibrations of one instrument over time: changes of its parameters from date to date, and tests of these changes.
 
 Two calibrations with the same prior are not independent: if the readings have no information, both give the prior mean,
-and their agreement means nothing. All tests therefore use the joint covariance of the estimates. It assumes one
-unchanged instrument that is drawn from the prior once and is measured independently each time.
+and their agreement means nothing. All tests therefore use the joint covariance of the estimates. Its null hypothesis is
+an unchanged instrument, drawn from the prior once and measured independently each time.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from ltsim.recordings.result_file import Entry, Finite
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
 MAX_EM_STEPS = 2000
-"""Largest number of expectation-maximisation steps, which converge linearly."""
+"""Largest number of steps of the expectation-maximisation, which converges linearly."""
 MAX_LOG_VARIANCE_CHANGE_AT_CONVERGENCE = 1e-4
-"""Largest change of a log variance in one step at which the expectation-maximisation has converged."""
+"""Largest change of a log variance in one step of the expectation-maximisation below which the iteration ends."""
 
 
 class ChiSquareEntry(Entry):
     """Result of a chi-square test."""
 
     chi2: Finite
-    """Weighted sum of squares."""
+    """Chi-square statistic: weighted sum of squares."""
     dof: int
     """Degrees of freedom."""
     p_value: Finite
@@ -51,14 +51,14 @@ class ChiSquareEntry(Entry):
 
 
 class DifferenceEntry(Entry):
-    """Difference of one parameter between two calibrations: later minus earlier estimate."""
+    """Difference of one parameter between two calibrations: later minus earlier estimate, with its test."""
 
     name: str
     """Name of the parameter."""
     difference: Finite
     """Later minus earlier estimate, in `unit`."""
     sigma: Finite
-    """Standard deviation of the difference."""
+    """Standard deviation of the difference, in `unit`."""
     unit: str
     """Unit of the difference and of its standard deviation."""
     p_value: Finite
@@ -66,7 +66,7 @@ class DifferenceEntry(Entry):
 
 
 class ChangeEntry(ChiSquareEntry):
-    """Change of an instrument between two calibrations, with the test that it did not change."""
+    """Change of an instrument between two calibrations, with the chi-square test that it did not change."""
 
     from_: str = Field(alias="from")
     """Label of the earlier calibration."""
@@ -75,20 +75,20 @@ class ChangeEntry(ChiSquareEntry):
     changed_parameters: tuple[str, ...] = ()
     """Names of the parameters that changed significantly."""
     parameters: tuple[DifferenceEntry, ...] = ()
-    """Differences of all parameters."""
+    """Differences of all parameters between the two calibrations."""
 
 
 @dataclass(frozen=True)
-class ParameterPopulation(ValueEquality):
+class ParameterDistribution(ValueEquality):
     """Distribution of an instrument's parameters over its calibrations: mean and standard deviation."""
 
     mean: Floats
     """Mean of each parameter over the calibrations, shape (parameters,) [SI]."""
     covariance: Floats
-    """Covariance of the mean, shape (parameters, parameters) [SI]."""
+    """Covariance of the estimated mean, shape (parameters, parameters) [SI]."""
     between_calibration_sigma: Floats
-    """Standard deviation of each parameter from calibration to calibration, without estimation errors, (parameters,)
-    [SI]."""
+    """Standard deviation of the true value of each parameter between calibrations, shape (parameters,) [SI];
+    estimation errors are not included."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class CalibrationSeries(ValueEquality):
     labels: tuple[str, ...]
     """Label of each calibration."""
     calibrations: tuple[Calibration, ...]
-    """Calibrations, each of one instrument, and all with the same instrument model."""
+    """Calibrations in chronological order, each of one instrument, all with the same geometric error model."""
     days: Floats | None = None
     """Days since the first calibration, one number per calibration; None if a date is missing."""
 
@@ -109,7 +109,7 @@ class CalibrationSeries(ValueEquality):
         instrument: str | None = None,
         dates: Sequence[str] | None = None,
     ) -> CalibrationSeries:
-        """Series of calibrations with labels, in chronological order.
+        """Series of calibrations with labels, which must be in chronological order.
 
         `instrument` selects one of several instruments. `dates` (ISO format, one per calibration) replace the dates of
         the recordings.
@@ -117,7 +117,7 @@ class CalibrationSeries(ValueEquality):
         Raises
         ------
         RecordError
-            If there are fewer than two calibrations, their instrument models differ, the instrument is not unique, a
+            If there are fewer than two calibrations, their models differ, the instrument is not unique, a
             parameter has no uncertainty, or the dates are invalid or not in chronological order.
         """
         if len(labelled_calibrations) < 2:
@@ -133,7 +133,7 @@ class CalibrationSeries(ValueEquality):
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option_text('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
         calibrations = _with_common_parameters(
-            [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
+            [instrument_calibration(calibration, instrument, label) for label, calibration in labelled_calibrations]
         )
         for (label, _), calibration in zip(labelled_calibrations, calibrations, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
@@ -153,12 +153,12 @@ class CalibrationSeries(ValueEquality):
 
     @property
     def construction(self) -> GeometricErrorModel:
-        """Instrument model of all calibrations."""
+        """Geometric error model of all calibrations."""
         return self.calibrations[0].construction
 
     @cached_property
     def estimates(self) -> Floats:
-        """Estimates, shape (calibrations, parameters) [SI]."""
+        """Estimates of the parameters, shape (calibrations, parameters) [SI]."""
         return np.array([c.estimates[0] for c in self.calibrations])
 
     @cached_property
@@ -176,6 +176,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _likelihood_information(self) -> list[LikelihoodInformation]:
+        """Information of the readings of each calibration, without its prior."""
         return [
             likelihood_information(c.estimates[0], c.covariance, c.arrays.effective_prior_sigma[0], self.prior_sigma)
             for c in self.calibrations
@@ -183,7 +184,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _informative_combinations(self) -> Floats:
-        """Orthonormal combinations (parameters, combinations) of parameters that the calibrations determine on average.
+        """Orthonormal combinations (parameters, combinations) of parameters that the calibrations determine.
 
         The parameters are in units of their prior standard deviations.
         """
@@ -193,11 +194,11 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _joint_covariance(self) -> Floats:
-        """Joint covariance of the estimates of all calibrations of an unchanged instrument, in prior variances.
+        """Joint covariance of the estimates of all calibrations if the instrument did not change, in prior variances.
 
         The shape is (calibrations, parameters, calibrations, parameters). Calibration i has the posterior covariance
-        C_i and the information N_i; its estimate is C_i N_i x + noise with the noise covariance C_i N_i C_i. The
-        parameters x are drawn from the prior once for all calibrations.
+        C_i and the information N_i. Its estimate is C_i N_i x + noise, and the noise has the covariance C_i N_i C_i.
+        The parameters x are drawn from the prior once for all calibrations.
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
         pull = np.array([e.posterior_covariance @ e.information_matrix for e in self._likelihood_information])
@@ -206,11 +207,11 @@ class CalibrationSeries(ValueEquality):
             covariance[i, :, i] += pull[i] @ remaining[i]
         return covariance
 
-    def change(self, earlier_index: int, later_index: int) -> ChangeEntry:
-        """Change from one calibration of the series to another: later minus earlier estimates, with p-values.
+    def change_between(self, earlier_index: int, later_index: int) -> ChangeEntry:
+        """Change between two calibrations of the series: later minus earlier estimates, with p-values.
 
-        `earlier_index` and `later_index` count from 0. Parameters that changed are selected by Holm's procedure at
-        `FAMILY_WISE_LEVEL`. Undetermined parameters have a p-value of 1.
+        `earlier_index` and `later_index` count from 0. The changed parameters are selected by Holm's procedure at the
+        level `FAMILY_WISE_LEVEL`. Undetermined parameters have a p-value of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [earlier_index, later_index]] = -1.0, 1.0
@@ -238,17 +239,17 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _mean_variance_reduction(self) -> Floats:
-        """Fraction (parameters,) by which the readings reduce the prior variance, as the mean over the calibrations."""
+        """Fraction (parameters,) by which the readings reduce the prior variance, averaged over the calibrations."""
         return 1.0 - np.mean([np.diag(e.posterior_covariance) for e in self._likelihood_information], axis=0)
 
-    def changes(self) -> list[ChangeEntry]:
+    def successive_changes(self) -> list[ChangeEntry]:
         """Changes between each calibration and the previous one."""
-        return [self.change(i, i + 1) for i in range(len(self) - 1)]
+        return [self.change_between(i, i + 1) for i in range(len(self) - 1)]
 
     def constancy_test(self, parameter_index: int | None = None) -> ChiSquareEntry:
-        """Chi-square test that the parameters are equal in all calibrations.
+        """Chi-square test that a parameter is equal in all calibrations.
 
-        The test is of the parameter with the index `parameter_index`, or of all parameters together if it is None.
+        `parameter_index` is the index of the parameter; None tests all parameters together.
         """
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter_index is None:
@@ -260,11 +261,11 @@ class CalibrationSeries(ValueEquality):
         )
 
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
-        """Differences between calibrations, and their covariance for an unchanged instrument.
+        """Contrasts (weighted sums) of calibrations, and their covariance if the instrument did not change.
 
-        Each row of `contrast` (contrasts, calibrations) holds a coefficient of each calibration, each column of
-        `combination` (parameters, combinations) a coefficient of each parameter. The differences have one entry for
-        each pair of contrast and combination, in prior standard deviations.
+        Each row of `contrast` (contrasts, calibrations) has a coefficient for each calibration, each column of
+        `combination` (parameters, combinations) a coefficient for each parameter. The result has one entry for each
+        pair of contrast and combination, in prior standard deviations.
         """
         contrasts = contrast @ (self.estimates / self.prior_sigma) @ combination
         half_product: Floats = np.einsum(
@@ -274,13 +275,13 @@ class CalibrationSeries(ValueEquality):
         return contrasts.ravel(), spread.reshape(contrasts.size, contrasts.size)
 
     @cached_property
-    def population(self) -> ParameterPopulation:
-        """Mean of the parameters over the calibrations, and their standard deviation between calibrations.
+    def population(self) -> ParameterDistribution:
+        """Mean of the parameters over the calibrations, and standard deviation between calibrations.
 
         The standard deviation is estimated by restricted maximum likelihood (Patterson and Thompson, Biometrika 58
-        (1971) 545) with expectation-maximisation: the mean comes from the same few calibrations and would otherwise
-        bias it. Combinations without information keep the prior mean. A parameter without information has the prior
-        standard deviation.
+        (1971) 545) with expectation-maximisation. Otherwise it would be biased, because the mean comes from the same
+        few calibrations. Combinations without information keep the prior mean, and a parameter without information has
+        the prior standard deviation.
         """
         information = np.array([e.information_matrix for e in self._likelihood_information])
         vectors = np.array([e.information_vector for e in self._likelihood_information])
@@ -303,17 +304,17 @@ class CalibrationSeries(ValueEquality):
         is_silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
         mean, variance = np.where(is_silent, 0.0, mean), np.where(is_silent, 1.0, variance)
         unit = self.prior_sigma
-        return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
+        return ParameterDistribution(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
     def with_population_prior(self, calibration: Calibration) -> Calibration:
-        """Copy of a calibration in which the distribution of this series replaces the prior from the specification.
+        """Copy of a calibration in which the distribution of the series replaces the prior from the specification.
 
         The calibration must not be part of the series. The estimate of a parameter that hardly varies between
-        calibrations moves to the mean of the series, and the estimate of a parameter that varies much stays near the
-        value from its own readings.
+        calibrations moves to the mean of the series. The estimate of a parameter that varies much stays near the value
+        from its own readings.
         """
         population, unit = self.population, self.prior_sigma
-        input_calibration = single_instrument(calibration, None, "the calibration")
+        input_calibration = instrument_calibration(calibration, None, "the calibration")
         spread = population.between_calibration_sigma / unit
         likelihood = likelihood_information(
             input_calibration.estimates[0],
@@ -331,13 +332,13 @@ class CalibrationSeries(ValueEquality):
         )
 
 
-def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+def instrument_calibration(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
     """Calibration of one instrument, without the adjusted network.
 
     Raises
     ------
     RecordError
-        If the calibration contains several instruments and none of them is named `instrument`.
+        If the calibration contains several instruments and none of them has the name `instrument`.
     """
     names = calibration.instruments
     if len(names) == 1:
@@ -350,9 +351,9 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
 
 
 def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations of one instrument, reduced to the parameters that all calibrations estimated.
+    """Calibrations of one instrument, reduced to the parameters that all of them estimated.
 
-    RecordError is raised if there is no such parameter.
+    Raises RecordError if there is no such parameter.
     """
     is_fixed = np.any([c.is_fixed[0] for c in calibrations], axis=0)
     if is_fixed.all():
@@ -361,9 +362,9 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
 
 
 def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
-    """Chi-square test that a vector is zero, over the combinations of its components with a regular covariance.
+    """Chi-square test that a vector is zero, over the combinations of its components with nonzero variance.
 
-    `difference` has the shape (components,), `covariance` the shape (components, components).
+    `difference` (components,) is the vector and `covariance` (components, components) its covariance.
     """
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
     is_resolved = values > NORMAL_RANK_TOLERANCE * max(float(values[-1]), 0.0)
@@ -374,7 +375,7 @@ def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
 def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
     """Days since the first date, one number per calibration; None if a date is missing.
 
-    The dates are in ISO form. RecordError is raised for other forms, a wrong number of dates, or a wrong order.
+    Raises RecordError for dates that are not in ISO form, a wrong number of dates, or a wrong order.
     """
     if len(dates) != len(labels):
         problem = f"there are {len(dates)} dates for {len(labels)} calibrations"

@@ -1,4 +1,4 @@
-"""Entries of result files for combinations of parameters.
+"""Entries of result files for linear combinations of parameters.
 
 The recording either does not determine a reported combination, or determines it far better than its parameters.
 """
@@ -10,14 +10,14 @@ from ltsim.recordings.result_file import Entry, Finite, NonZero, OptionalFloat
 
 
 class CombinationTerms(Entry):
-    """Combination of parameters, with the coefficient of each."""
+    """Linear combination of parameters, with the coefficient of each parameter."""
 
     combination: dict[str, Finite]
-    """Coefficient of each parameter."""
+    """Coefficient by the name of the parameter."""
 
     @property
     def text(self) -> str:
-        """Text of the combination in one line."""
+        """Text of the combination, such as `a + 0.7 b`, in one line."""
         return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
@@ -27,17 +27,17 @@ class UndeterminedEntry(CombinationTerms):
     gain: OptionalFloat = None
     """Fraction by which the readings reduce the prior variance of the combination."""
     cure: str = ""
-    """Measurement that would determine the combination, and its benefit."""
+    """Sentence on the measurement that would determine the combination, and on its benefit."""
     measurement: str = ""
-    """Instruction for the measurement that would determine the combination, without its benefit; empty if no tested
-    measurement determines the combination."""
+    """Instruction for the measurement that would determine the combination; empty if no tested measurement does."""
 
 
 class DeterminedEntry(CombinationTerms):
-    """Combination of parameters that the recording determines far better than its single parameters."""
+    """Combination of parameters that the recording determines far better than the parameters themselves."""
 
     combination: dict[str, NonZero] = Field(min_length=1)
-    """Coefficient of each parameter; the first parameter has the coefficient 1 and gives the combination its name."""
+    """Coefficient by the name of the parameter. The first parameter has the coefficient 1 and gives the combination
+    its name."""
     value: Finite
     """Estimate of the combination."""
     sigma: OptionalFloat = None
@@ -45,7 +45,7 @@ class DeterminedEntry(CombinationTerms):
     unit: str = ""
     """Unit of value and standard deviation."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
 
 UNDETERMINED_TABLE = Table(

@@ -24,9 +24,9 @@ def correct(
 ) -> Recording:
     """Recording that an ideal tracker would have made, computed with a calibration of the instrument.
 
-    Each reading stays on its face. The set-up of the result declares its instruments corrected. A row without a range
-    or without an angle is corrected at the adjusted position of its target; an accuracy of one millimetre of this
-    position is sufficient.
+    Each reading remains in its face. The set-up of the result declares its instruments corrected. In a row without a
+    range or without an angle, the correction is computed for the adjusted position of the target, for which an accuracy
+    of one millimetre is sufficient.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def correct(
 def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
     """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
 
-    The change is zero if the set-up declares no directions of the nests, or if no approximate network can be computed.
+    It is zero if the set-up declares no normals of nests, or if no approximate network can be computed.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())
@@ -90,9 +90,9 @@ def incidence_reading_changes(recording: Recording, calibration: Calibration) ->
 
 
 def corrected_readings(recording: Recording, construction: GeometricErrorModel, parameter_values: Floats) -> Floats:
-    """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN where no reading was made.
+    """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN for missing readings.
 
-    `parameter_values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
+    `parameter_values` are the instrument parameters, shape (parameters,) or (pointings, parameters) [SI].
     """
     raw_readings = np.where(
         recording.is_measured, recording.readings, _predicted_readings_of_incomplete_pointings(recording)
@@ -104,9 +104,9 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
 
 
 def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
-    """Predicted readings of an ideal tracker for pointings without a range or an angle, shape (pointings, 3).
+    """Readings of an ideal tracker, predicted for pointings without a range or an angle, shape (pointings, 3).
 
-    They follow from the approximate network. All are zero if every pointing is complete.
+    They follow from an approximate network. All are zero if every pointing is complete.
     """
     incomplete: Bools = np.asarray(~recording.is_measured.all(axis=1))
     if not incomplete.any():
@@ -124,6 +124,7 @@ def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
 
 
 def _undetermined_rows_error(is_undetermined: Bools, reason_text: str) -> NetworkError:
+    """Error for pointings without a range or an angle whose target has no coordinates; `reason_text` says why."""
     return NetworkError(
         f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
         f"and its target has no coordinates: {reason_text}"

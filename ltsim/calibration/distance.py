@@ -1,4 +1,4 @@
-"""Calibration by the distance objective of Sensors 2021, 21, 7479, and the network adjusted with its parameters."""
+"""Calibration by the distance objective of Sensors 2021, 21, 7479, and adjustment of the network with the result."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ OBJECTIVE_NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
-"""Norm that each distance method minimises: the sum of squares, or the sum of absolute values."""
+"""Norm that each distance method minimises: `squares` (sum of squares) or `absolute` (sum of absolute values)."""
 
 
 def calibrate_distance(
@@ -87,7 +87,7 @@ def calibrate_distance(
     corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
     adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
-    propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
+    propagation = DistanceErrorPropagation(recording, model, parameter_values, estimate, adjustment)
     added_covariance = propagation.network_covariance_from_parameter_errors()
     unknowns = adjustment.problem.unknowns
     pose = adjustment.pose_covariance
@@ -126,15 +126,15 @@ def calibrate_distance(
     )
 
 
-def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
-    """Fit of the network that was adjusted with the parameters; `dof` is the expected chi-square, rounded."""
+def _fit_entry(propagation: DistanceErrorPropagation) -> FitEntry:
+    """Fit statistics of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.distance_estimate
     mean, variance = propagation.chi2_moments()
     expected_chi2 = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected_chi2 > 0
     status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.has_converged:
-        status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
+        status = "converged", "the last step changed no parameter by more than 1e-7 of its prior sigma"
     return FitEntry(
         chi2=chi2,
         dof=expected_chi2,
@@ -163,7 +163,7 @@ def _undetermined_entries(
             [list(estimate.undetermined_combinations)],
             recommend_measurements=recommend_measurements,
         )
-    names, advice = construction.instrument_parameter_names(instruments), "try the network method"
+    names, advice = construction.instrument_parameter_names(instruments), "calibrate with the method network"
     return tuple(
         UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=advice, measurement=advice)
         for d in estimate.undetermined_combinations
@@ -171,36 +171,37 @@ def _undetermined_entries(
 
 
 @dataclass(frozen=True)
-class ErrorPropagation:
-    """Propagation of the error of estimated parameters through the adjustment of the corrected readings.
+class DistanceErrorPropagation:
+    """Propagation of the error of parameters from distances through the adjustment of the corrected readings.
 
-    Let e be the whitened noise of the readings and the gauge, A the matrix of the adjustment, D its design matrix, B
-    the design matrix of the parameters, and dx the error of the parameters. The error of the network is A e - A B dx,
-    and the residuals are R e - R B dx with R = 1 - D A.
+    Let e be the whitened noise of the readings and the gauge (reflectors at known distances). Let A be the matrix that
+    maps observations to adjusted unknowns, D the design matrix of the adjustment, B the design matrix of the
+    parameters, and dx the error of the parameters. The error of the network is A e - A B dx, and the residuals are R e
+    - R B dx with R = 1 - D A.
 
     The parameters are estimated from the same readings, so that dx is correlated with e. The estimator is not the
     adjustment: its residuals are larger than the degrees of freedom imply.
     """
 
     recording: Recording
-    """Uncorrected recording."""
+    """Recording with uncorrected readings."""
     construction: GeometricErrorModel
-    """Instrument model."""
+    """Geometric error model of the instruments."""
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""
     distance_estimate: DistanceEstimate
-    """Estimate of the distance method, with its covariance."""
+    """Estimate of the distance method with its covariance."""
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 
     @cached_property
     def _used_reading_indices(self) -> Ints:
-        """Indices of the readings in use, in the flattened array of all readings."""
+        """Indices of the readings in use in the flattened array of all readings."""
         return np.flatnonzero(self.adjustment.problem.is_used_reading.ravel())
 
     @cached_property
     def _whitened_design(self) -> Floats:
-        """Whitened design matrix of readings and gauge, shape (observations, unknowns of the network)."""
+        """Whitened design matrix D of readings and gauge, shape (observations, unknowns of the network)."""
         n_rows = len(self._used_reading_indices) + len(self.adjustment.problem.gauge_rows)
         return to_dense(self.adjustment.solution.system.design[:n_rows])
 
@@ -236,17 +237,17 @@ class ErrorPropagation:
         return np.concatenate([noise[:, self._used_reading_indices], noise[:, readings:]], axis=1).T
 
     def network_covariance_from_parameter_errors(self) -> Floats:
-        """Part of the covariance (unknowns, unknowns) of the network that comes from the error of the parameters."""
+        """Contribution of the parameters' error to the covariance (unknowns, unknowns) of the network."""
         through = self._unknowns_per_observation @ self._parameter_design
         cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_cross_covariance) @ through.T
         return through @ self.distance_estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
     def _residual_part(self, observation_vectors: Floats) -> Floats:
-        """Part of observation vectors, one per column, that remains in the residuals of the adjustment."""
+        """Part of the observation vectors (one per column) that remains in the residuals of the adjustment."""
         return observation_vectors - self._whitened_design @ (self._unknowns_per_observation @ observation_vectors)
 
     def chi2_moments(self) -> tuple[float, float]:
-        """Expected value and variance of the adjustment's chi-square, for a correct model and the declared noise."""
+        """Expected value and variance of the adjustment's chi-square, if the model and the declared noise are right."""
         systematic, noise = (
             self._residual_part(self._parameter_design),
             self._residual_part(self._noise_parameter_cross_covariance),
@@ -262,7 +263,7 @@ class ErrorPropagation:
         )
 
     def chi2_p_value(self, chi2: float) -> float:
-        """Probability of a larger chi-square, by Satterthwaite's approximation with a scaled chi-square."""
+        """Probability of a chi-square above `chi2`, by Satterthwaite's approximation with a scaled chi-square."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)
         return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))

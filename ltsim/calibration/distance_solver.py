@@ -1,17 +1,17 @@
 """Estimator of Sensors 2021, 21, 7479, eq. 9: parameters for which distances agree between stations and with the gauge.
 
-Least squares and least absolute deviations both use Gauss-Newton steps. For absolute deviations, each step is the
-solution of a linear program.
+The gauge is a set of reflectors at known distances. Least squares and least absolute deviations both use Gauss-Newton
+steps. For absolute deviations, each step is the solution of a linear program.
 
 `solve_determined_combinations` estimates only combinations of parameters that the distances determine better than the
 prior (gain above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not
 the minimum of eq. 9.
 
 `solve_all_combinations` computes this minimum, for comparison with the paper. It can be restricted to a box around
-zero. It excludes only combinations that change no distance, and therefore fits the noise if the readings determine
+zero. It excludes only combinations that change no distance. It therefore fits the noise if the readings determine
 little: eq. 9 as printed has up to 78 parameters.
 
-The objective ignores that distances share points, so that the covariance derived from it would be too small. The
+The objective ignores that distances share points, so that a covariance derived from it would be too small. The
 covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
 """
 
@@ -31,12 +31,12 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 from ltsim.solve.least_absolute import solve_least_absolute
 
 ObjectiveNorm = Literal["squares", "absolute"]
-"""Norm of the objective: sum of squares, or sum of absolute values."""
+"""Norm of the distance objective: `squares` (sum of squares) or `absolute` (sum of absolute values)."""
 
 
 @dataclass(frozen=True)
 class DistanceComparisons:
-    """Comparisons of distances between sets (one station and face each), linearised in the unknowns and the noise.
+    """Comparisons of distances between sets of pointings (one station and face each), with their derivatives.
 
     The unknowns are the instrument parameters. A comparison is zero if the compared distances agree.
     """
@@ -44,18 +44,18 @@ class DistanceComparisons:
     comparison_matrix: sp.csr_array
     """Coefficient of each distance in each comparison, shape (comparisons, distances)."""
     residuals: Floats
-    """Value of each comparison, shape (comparisons,) [m]; zero if the distances agree."""
-    unknown_derivatives: Floats
-    """Derivative of each comparison with respect to each unknown in prior standard deviations, (comparisons, unknowns)
-    [m]."""
-    noise_derivatives: sp.csr_array
+    """Value of each comparison, shape (comparisons,) [m]; zero if the compared distances agree."""
+    derivatives_by_unknowns: Floats
+    """Derivative of each comparison with respect to each unknown in prior standard deviations, shape (comparisons,
+    unknowns) [m]."""
+    derivatives_by_noise: sp.csr_array
     """Derivative of each comparison with respect to each whitened reading and gauge length, shape (comparisons, 3
     pointings + gauge lengths) [m]."""
 
 
 @dataclass(frozen=True)
 class DistanceEstimate:
-    """Parameters estimated from distances, in units of their prior standard deviations."""
+    """Parameters estimated from distances, with their covariance, in units of their prior standard deviations."""
 
     unknowns: Floats
     """Estimated parameters of all instruments, shape (unknowns,)."""
@@ -66,24 +66,24 @@ class DistanceEstimate:
     """Covariance of the estimates with the whitened readings and gauge lengths, shape (unknowns, 3 pointings + gauge
     lengths)."""
     undetermined_combinations: tuple[ParameterCombination, ...]
-    """Combinations of parameters that are fixed at zero."""
+    """Combinations of parameters that the distances do not determine and that are fixed at zero."""
     objective_value: float
-    """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""
+    """Distance objective at the estimate: [m^2] for least squares, [m] for absolute deviations."""
     n_iterations: int
     """Number of Gauss-Newton steps."""
     has_converged: bool
-    """True if the last step was below the tolerance."""
+    """True if the last step was smaller than the tolerance."""
 
 
 def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Weighted deviations of distances from their mean over stations and faces; their squares add to the objective."""
+    """Weighted deviations of distances from their means over stations and faces; their squares add to the objective."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Terms of the distance objective: differences of a distance between two stations or faces, or from the gauge."""
+    """Terms of the distance objective: differences between two stations or faces, or from a length of the gauge."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)
@@ -93,7 +93,7 @@ def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistanc
 
 
 def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
-    """Sparse matrix that selects the given rows of a matrix with `n_columns` rows."""
+    """Sparse matrix that selects the rows `row_indices` of a matrix with `n_columns` rows."""
     return sp.csr_array(
         (np.ones(len(row_indices)), (np.arange(len(row_indices)), row_indices)), shape=(len(row_indices), n_columns)
     )
@@ -102,7 +102,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 def _append_gauge_rows(
     problem: DistanceProblem, distances: PairDistances, set_comparison_matrix: sp.csr_array
 ) -> DistanceComparisons:
-    """Comparisons between sets, followed by the deviations of distances from their gauge lengths."""
+    """Comparisons between sets of pointings, followed by the deviations of distances from their gauge lengths."""
     at, which = problem.gauge_match_indices(distances)
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
@@ -127,8 +127,8 @@ def solve_determined_combinations(
 ) -> DistanceEstimate:
     """Minimum of the distance objective over the combinations of unknowns that the readings determine.
 
-    The iteration starts at `start_values` (default zero). Unknowns in `fixed_mask` keep their start value. Both have
-    the shape (unknowns,).
+    The iteration starts at `start_values` (default zero). Unknowns in the mask `fixed_mask` keep their start value.
+    Both have the shape (unknowns,).
 
     Raises
     ------
@@ -144,7 +144,7 @@ def solve_determined_combinations(
         iterations += 1
         deviation_rows = distance_comparisons_at(problem, unknowns, norm)
         step = estimated @ _unbounded_step(
-            deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
+            deviation_rows.derivatives_by_unknowns @ estimated, deviation_rows.residuals, norm
         )
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
@@ -199,8 +199,8 @@ def _start_values(
 
 
 def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unknown: Bools) -> None:
-    """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
-    if not np.any(comparisons.unknown_derivatives[:, is_free_unknown]):
+    """Check that a comparison of distances depends on the free unknowns; raises NetworkError otherwise."""
+    if not np.any(comparisons.derivatives_by_unknowns[:, is_free_unknown]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
@@ -211,7 +211,7 @@ def _make_estimate(
     n_iterations: int,
     is_converged: bool,
 ) -> DistanceEstimate:
-    """Estimate with its covariance at the solution of an iteration.
+    """Estimate with its covariance from the solution of an iteration.
 
     `solution` contains the unknowns, the estimated combinations (unknowns, combinations), and the combinations fixed at
     zero.
@@ -224,21 +224,21 @@ def _make_estimate(
         covariance + prior.T @ prior,
         noise,
         undetermined,
-        objective_of(comparisons, norm),
+        distance_objective(comparisons, norm),
         n_iterations,
         is_converged,
     )
 
 
 def distance_comparisons_at(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> DistanceComparisons:
-    """Comparisons of distances whose sum of squares, or of absolute values, is the distance objective."""
+    """Comparisons of distances at `unknowns`; their squares or absolute values add to the distance objective."""
     distances = problem.distances_at(unknowns)
     comparisons_of = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     return comparisons_of(problem, distances)
 
 
-def objective_of(comparisons: DistanceComparisons, norm: ObjectiveNorm) -> float:
-    """Objective of Sensors 2021, 21, 7479, eq. 9: sum of squares [m^2] or of absolute values [m] of residuals."""
+def distance_objective(comparisons: DistanceComparisons, norm: ObjectiveNorm) -> float:
+    """Distance objective (Sensors 2021, 21, 7479, eq. 9): sum of squares [m^2] or absolute values [m] of residuals."""
     return float(np.sum(comparisons.residuals**2) if norm == "squares" else np.sum(np.abs(comparisons.residuals)))
 
 
@@ -247,16 +247,20 @@ def determined_and_undetermined_combinations(
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
-    The estimated ones are an array (unknowns, combinations). Those fixed at zero reduce the prior variance by a
-    fraction below `MIN_DETERMINED_GAIN`, in ascending order. Unknowns outside `is_free_unknown` take no part.
+    The estimated ones are an array (unknowns, combinations). For those fixed at zero, the readings reduce the prior
+    variance by a fraction below `MIN_DETERMINED_GAIN`; they are in ascending order of this fraction. Unknowns outside
+    the mask `is_free_unknown` are not used.
     """
     strength, eigenvectors = np.linalg.eigh(
-        comparisons.unknown_derivatives[:, is_free_unknown].T @ comparisons.unknown_derivatives[:, is_free_unknown]
+        comparisons.derivatives_by_unknowns[:, is_free_unknown].T
+        @ comparisons.derivatives_by_unknowns[:, is_free_unknown]
     )
     vectors = np.zeros((len(is_free_unknown), len(eigenvectors)))
     vectors[is_free_unknown] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    noise_response = np.asarray((comparisons.noise_derivatives.T @ (comparisons.unknown_derivatives @ vectors)).T)
+    noise_response = np.asarray(
+        (comparisons.derivatives_by_noise.T @ (comparisons.derivatives_by_unknowns @ vectors)).T
+    )
     variance = np.full(len(strength), np.inf)
     variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
@@ -268,9 +272,11 @@ def determined_and_undetermined_combinations(
 def _split_observable_combinations(comparisons: DistanceComparisons, is_free_unknown: Bools) -> tuple[Floats, Floats]:
     """Combinations of unknowns that change a compared distance, and combinations that change none.
 
-    Both have the shape (unknowns, combinations). Only unknowns in the mask `is_free_unknown` take part.
+    Both have the shape (unknowns, combinations). Unknowns outside the mask `is_free_unknown` are not used.
     """
-    _, strength, right_vectors = np.linalg.svd(comparisons.unknown_derivatives[:, is_free_unknown], full_matrices=False)
+    _, strength, right_vectors = np.linalg.svd(
+        comparisons.derivatives_by_unknowns[:, is_free_unknown], full_matrices=False
+    )
     vectors = np.zeros((len(is_free_unknown), len(right_vectors)))
     vectors[is_free_unknown] = right_vectors.T
     nonzero = strength > SQRT_MACHINE_EPSILON * strength[0]
@@ -291,8 +297,8 @@ def _bounded_step(
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
-    """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
-    design = comparisons.unknown_derivatives[:, is_free_unknown]
+    """Step of the free unknowns that minimises the linearised objective within the bounds of the unknowns."""
+    design = comparisons.derivatives_by_unknowns[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]
         return visible @ _unbounded_step(design @ visible, comparisons.residuals, norm)
@@ -331,15 +337,15 @@ def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Fl
 def _line_search(
     problem: DistanceProblem, unknowns: Floats, step: Floats, comparisons: DistanceComparisons, norm: ObjectiveNorm
 ) -> tuple[Floats, DistanceComparisons, float]:
-    """Backtracking line search along a step of the unknowns.
+    """Result of a backtracking line search along a step of the unknowns.
 
-    The result is the new unknowns, the comparisons at these, and the relative decrease of the objective.
+    It consists of the new unknowns, the comparisons at these, and the relative decrease of the objective.
     """
-    before, share = objective_of(comparisons, norm), 1.0
+    before, share = distance_objective(comparisons, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
         rows_there = distance_comparisons_at(problem, there, norm)
-        fallen = 1.0 - objective_of(rows_there, norm) / before
+        fallen = 1.0 - distance_objective(rows_there, norm) / before
         if fallen > 0.0:
             return there, rows_there, fallen
         share *= 0.5
@@ -351,23 +357,23 @@ def estimate_covariance(
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
-    The observations are the readings and gauge lengths. For absolute deviations the asymptotic distribution of the
+    The observations are the readings and gauge lengths. For absolute deviations, the asymptotic distribution of the
     median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
     asin(correlation), to first order off the diagonal.
     """
-    design = comparisons.unknown_derivatives @ estimated_combinations
+    design = comparisons.derivatives_by_unknowns @ estimated_combinations
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
-        influence = -inverse @ np.asarray((comparisons.noise_derivatives.T @ design).T)
+        influence = -inverse @ np.asarray((comparisons.derivatives_by_noise.T @ design).T)
         noise = estimated_combinations @ influence
         return noise @ noise.T, noise
     spread = np.sqrt(
-        np.asarray(comparisons.noise_derivatives.multiply(comparisons.noise_derivatives).sum(axis=1)).ravel()
+        np.asarray(comparisons.derivatives_by_noise.multiply(comparisons.derivatives_by_noise).sum(axis=1)).ravel()
     )
     spread = np.maximum(spread, 1e-12)
     scaled_design = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
-    noise_response = np.asarray((comparisons.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    noise_response = np.asarray((comparisons.derivatives_by_noise.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T

@@ -1,12 +1,13 @@
-"""Events in a history: steps of a parameter between calibrations that are outliers among its other steps.
+"""Events in the history of an instrument: changes of a parameter that are outliers among its other changes.
 
-The parameters of a tracker vary from day to day by more than their standard deviations, and such variation is no event.
-The usual size of the steps is therefore estimated from the steps themselves. Each step is tested against the other
-steps. The most significant step is removed, and the rest is tested again, so that two events do not mask each other.
+The parameters of a tracker change between calibrations by more than their standard deviations, and such changes are no
+events. Their usual size is therefore estimated from the changes (steps) themselves. Each step is tested against the
+other steps. The most significant step is removed and the remaining steps are tested again, so that two events do not
+mask each other.
 
 If the days between calibrations are known, a fraction g of the variance of usual steps may grow with them (random
-walk), and the rest is the same for each step: s^2 (1 - g + g days / median days). The p-value of a step is the mean
-over the values `TIME_GROWING_VARIANCE_FRACTIONS` of g, weighted by the likelihood of the other steps.
+walk), and the remainder is the same for each step: s^2 (1 - g + g days / median days). The p-value of a step is the
+mean over the values `TIME_GROWING_VARIANCE_FRACTIONS` of g, weighted by the likelihood of the other steps.
 """
 
 import numpy as np
@@ -19,18 +20,19 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
-MIN_STEPS_FOR_TEST = 3
-"""Smallest number of steps between calibrations for which events are tested: the t-test has two degrees of freedom."""
+MIN_STEPS_FOR_EVENT_TEST = 3
+"""Smallest number of steps (changes between successive calibrations) for which events are tested. The t-test then
+has two degrees of freedom."""
 MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES = 5
-"""Smallest number of steps between calibrations from which the standard deviation of usual changes is estimated: the
-variance of the steps then has four degrees of freedom."""
+"""Smallest number of steps (changes between successive calibrations) from which the standard deviation of usual
+changes is estimated. The variance of the steps then has four degrees of freedom."""
 TIME_GROWING_VARIANCE_FRACTIONS = np.linspace(0.0, 1.0, 5)
-"""Tested fractions of the variance of usual steps that grow with the days between calibrations; p-values are averaged
+"""Fractions of the variance of usual steps that may grow with the days between calibrations. p-values are averaged
 over these fractions, weighted by likelihood."""
 
 
 class EventEntry(Entry):
-    """Step of one parameter between two calibrations that is an outlier among all steps of this parameter."""
+    """Event: change of one parameter between two calibrations that is an outlier among all changes of the parameter."""
 
     from_: str = Field(alias="from")
     """Label of the earlier calibration."""
@@ -39,31 +41,31 @@ class EventEntry(Entry):
     name: str
     """Name of the parameter."""
     difference: Finite
-    """Later minus earlier estimate."""
+    """Later minus earlier estimate, in `unit`."""
     sigma: NotNegative
     """Standard deviation of the difference."""
     usual_step_sigma: NotNegative
-    """Standard deviation of all other steps of this parameter between successive calibrations, without estimation
-    errors."""
+    """Standard deviation of all other changes of this parameter between successive calibrations; estimation errors
+    are not included."""
     unit: str
     """Unit of `difference`, `sigma` and `usual_step_sigma`."""
     p_value: Finite
-    """p-value of the step, corrected for all steps and parameters."""
+    """p-value of the change, corrected for the number of changes and parameters."""
 
 
-def has_enough_steps(series: CalibrationSeries) -> bool:
-    """True if the history has enough steps (`MIN_STEPS_FOR_TEST`) to test them for events."""
-    return len(series) > MIN_STEPS_FOR_TEST
+def has_enough_steps_for_event_test(series: CalibrationSeries) -> bool:
+    """True if a series has enough changes between calibrations (`MIN_STEPS_FOR_EVENT_TEST`) to test them for events."""
+    return len(series) > MIN_STEPS_FOR_EVENT_TEST
 
 
-def significant_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
-    """Significant steps of all parameters in chronological order; empty if there are too few steps for a test.
+def significant_parameter_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
+    """Significant changes of all parameters in chronological order; empty if there are too few changes for a test.
 
-    p-values are corrected for the number of steps and parameters (Bonferroni).
+    p-values are corrected for the number of changes and parameters (Bonferroni).
     """
-    if not has_enough_steps(series):
+    if not has_enough_steps_for_event_test(series):
         return ()
-    steps = [change.parameters for change in series.changes()]
+    steps = [change.parameters for change in series.successive_changes()]
     difference, sigma = (
         np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
     )
@@ -100,11 +102,12 @@ def _significant_steps_of(
 ) -> list[tuple[int, float, float]]:
     """Significant steps of one parameter: index of the step, standard deviation of usual steps, and p-value.
 
-    The arguments `difference`, `sigma` and `relative_durations` have the shape (steps,).
+    A step is a change between successive calibrations. The steps have the sizes `difference`, the standard deviations
+    `sigma` and the durations `relative_durations`, each (steps,). `alpha` is the level of the test.
     """
     is_usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
-    while is_usual.sum() > MIN_STEPS_FOR_TEST - 1:
+    while is_usual.sum() > MIN_STEPS_FOR_EVENT_TEST - 1:
         steps = np.flatnonzero(is_usual)
         judged = [_step_p_value(difference, sigma, relative_durations, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))
@@ -121,8 +124,9 @@ def _step_p_value(
 ) -> tuple[float, float]:
     """Two-sided p-value of one step relative to other steps of its parameter, and standard deviation of usual steps.
 
-    The steps have the sizes `difference`, the standard deviations `sigma` and the durations `relative_durations`, each
-    (steps,). The tested step is `step_index`, `other_steps` are the indices of the steps it is compared with.
+    A step is a change between successive calibrations. The steps have the sizes `difference`, the standard deviations
+    `sigma` and the durations `relative_durations`, each (steps,). The step `step_index` is tested against the steps
+    with the indices `other_steps`.
     """
     likelihood, chance, usual = (
         np.zeros(len(TIME_GROWING_VARIANCE_FRACTIONS)),
@@ -145,9 +149,9 @@ def _step_p_value(
 
 
 def _variance_by_moments(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
-    """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0.
+    """Variance of usual steps for which their expected chi-square equals their number; at least 0.
 
-    The steps have the sizes `difference` and the standard deviations `sigma`; the variance of each is multiplied by its
+    The steps have the sizes `difference` and the standard deviations `sigma`. The variance of each is multiplied by its
     element of `relative_variances`. All arrays have the shape (steps,).
     """
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second

@@ -1,4 +1,4 @@
-"""Information of the readings of calibrations, score tests, determined combinations, and log evidences of effects."""
+"""Information of the readings of calibrations, score tests of changes, determined combinations, and log evidences."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -17,36 +17,40 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_COMBINED_TO_UNCORRELATED_SIGMA_RATIO = 0.25
-"""Largest ratio of the standard deviation of a reported combination to the standard deviation that it would have for
-uncorrelated estimates of its parameters: the recording determines it at least four times better than these."""
+"""Largest ratio of the standard deviation of a reported combination of parameters to its value for uncorrelated
+estimates of the parameters. A reported combination is thus determined at least four times better than its parameters
+suggest."""
 MAX_TRUNCATED_TO_FULL_SIGMA_RATIO = 1.2
-"""Largest permitted ratio by which the standard deviation of a combination increases when its parameters with the
-smallest coefficients are omitted."""
+"""Largest factor by which the standard deviation of a combination may increase when the parameters with the smallest
+coefficients are omitted from it."""
 MIN_RELATIVE_REFERENCE_COEFFICIENT = 0.5
-"""Coefficient, relative to the largest coefficient of a combination, above which a parameter can be the reference
-parameter with coefficient 1. The first such parameter in the order of the model is used, for example the vertical index
-rather than a harmonic of the circle."""
+"""Smallest coefficient, relative to the largest one of a combination, of the reference parameter, which gets the
+coefficient 1. The first such parameter in the order of the model is used, for example the vertical index rather than
+a harmonic of the circle."""
 RELATIVE_EFFECT_SIZES = np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE))
-"""Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
-LOG_EFFECT_SIZE_PRIOR = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
-"""Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
-MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL = 100
-"""Largest number of array entries for which one NumPy call computes a log-sum-exp; for larger arrays several vectorised
-calls are faster."""
-_COSINE_PARAMETER_NAME = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
-"""Pattern of the names of cosine parameters, such as ``azimuth-eccentricity-cos`` and ``J1.eY_cos2`` (order 2)."""
+"""Sizes of an effect, relative to its plausible size, over which the evidence is averaged."""
+LOG_PRIOR_OF_EFFECT_SIZES = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
+"""Logarithms of the prior probabilities of the sizes in `RELATIVE_EFFECT_SIZES`."""
+MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL = 100
+"""Largest number of array entries for which one NumPy call computes a log-sum-exp. For larger arrays several
+vectorised calls are faster."""
+_COSINE_NAME_PATTERN = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
+"""Regular expression of the names of cosine parameters, such as ``azimuth-eccentricity-cos`` and ``J1.eY_cos2``
+(order 2)."""
 
 
 @dataclass(frozen=True)
 class LikelihoodInformation:
-    """Information of the readings of a calibration without its prior, in units of prior standard deviations."""
+    """Information of the readings of a calibration, without its prior, in units of prior standard deviations."""
 
     posterior_covariance: Floats
     """Covariance of the estimates, shape (parameters, parameters)."""
     information_matrix: Floats
     """Information matrix of the readings (posterior minus prior precision), shape (parameters, parameters).
 
-    Combinations whose gain is below `MAX_UNINFORMATIVE_GAIN` have zero information."""
+    Combinations whose prior variance the readings hardly reduce (gain below `MAX_UNINFORMATIVE_GAIN`) have zero
+    information.
+    """
     information_vector: Floats
     """Product of the information matrix and the estimate from the readings alone, shape (parameters,)."""
 
@@ -54,7 +58,7 @@ class LikelihoodInformation:
 def likelihood_information(
     estimates: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
 ) -> LikelihoodInformation:
-    """Information of the readings in an estimate with a prior of mean zero.
+    """Information of the readings, from estimates that were computed with a prior of mean zero.
 
     `estimates`, `prior_sigma` and `unit` have the shape (parameters,) [SI], `covariance` the shape (parameters,
     parameters). The result is in multiples of `unit`.
@@ -71,12 +75,13 @@ def likelihood_information(
 
 
 def change_score_and_information(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
-    """Score and information of a change of each parameter, with random changes of all parameters as null hypothesis.
+    """Score vector and information matrix of a change of single parameters, for score tests.
 
-    The random changes have the covariance `prior_covariance` (parameters, parameters). `score` (parameters,) is the
-    information vector minus the information matrix `information` (parameters, parameters) times the expected
-    parameters. The result is a vector s (parameters,) and a matrix M (parameters, parameters). The quotient s[k] / M[k,
-    k] estimates a change of parameter number k alone, with the variance 1 / M[k, k].
+    The null hypothesis is that all parameters changed at random with the covariance `prior_covariance` (parameters,
+    parameters). `score` (parameters,) is the information vector minus the information matrix `information` (parameters,
+    parameters) times the expected parameters. The result is a vector s (parameters,) and a matrix M (parameters,
+    parameters). The quotient s[k] / M[k, k] estimates a change of parameter number k alone, with the variance 1 / M[k,
+    k].
     """
     keeps = np.linalg.inv(np.eye(len(score)) + information @ prior_covariance)
     return keeps @ score, keeps @ information
@@ -98,7 +103,7 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Forward selection: index of each selected change, and the scores of all candidates when it was selected.
+    """Index of each change chosen by forward selection, with the scores of all candidates when it was chosen.
 
     `score_function` returns the score of each candidate change, given the indices of the changes selected so far. The
     change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
@@ -117,9 +122,9 @@ def forward_select(score_function: Callable[[Collection[int]], Floats], min_scor
 def estimates_with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates and covariance [SI] that the plausible priors of the parameters would give.
+    """Estimates and covariance [SI] that result if each parameter has its plausible prior.
 
-    A tight prior would conceal combinations that the readings determine. `estimates` and `prior_sigma` have the shape
+    A tighter prior would conceal combinations that the readings determine. `estimates` and `prior_sigma` have the shape
     (parameters,), `covariance` (parameters, parameters).
     """
     free_indices = np.flatnonzero(np.diag(covariance) > 0)
@@ -142,12 +147,12 @@ def estimates_with_plausible_priors(
 def determined_combinations(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats
 ) -> list[DeterminedEntry]:
-    """Combinations of parameters that the readings determine far better than their single parameters.
+    """Combinations of parameters that the readings determine far better than the parameters themselves.
 
-    In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
-    each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the same unit.
-    Its reference parameter has the coefficient 1. `estimates` (parameters,) and `covariance` (parameters, parameters)
-    are in SI units.
+    With readings in a single face, for example, the vertical index and two eccentricities of the circle are determined
+    to 12 urad each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the
+    same unit. Its reference parameter has the coefficient 1. `estimates` (parameters,) and `covariance` (parameters,
+    parameters) are in SI units.
     """
     combination_entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -195,9 +200,9 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 
 
 def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Pairs of a cosine and a sine coefficient: name of the harmonic, index of the cosine, index of the sine."""
+    """Pairs of a cosine and a sine parameter: name of the harmonic, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
-        match = _COSINE_PARAMETER_NAME.match(name)
+        match = _COSINE_NAME_PATTERN.match(name)
         if match:
             sine = f"{match['front']}sin{match['order']}"
             if sine in names:
@@ -226,7 +231,7 @@ def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covaria
 def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
     """Logarithm of the sum of the exponentials along an axis; minus infinity for an empty axis."""
     total: Floats
-    if logarithms.size <= MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL:
+    if logarithms.size <= MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL:
         total = np.logaddexp.reduce(logarithms, axis=axis)
         return total
     top = np.nan_to_num(logarithms.max(axis=axis, keepdims=True), neginf=0.0)
@@ -236,19 +241,21 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 
 
 def score_weights_and_constants_by_size(
-    information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR
+    information_strength: Floats,
+    sizes: Floats = RELATIVE_EFFECT_SIZES,
+    log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 
-    `information_strength` (..., components) holds the information on each independent component. The weights have the
-    shape (..., components, sizes), the constants (..., sizes).
+    `information_strength` (..., components) is the information on each independent component of the effect. The weights
+    have the shape (..., components, sizes), the constants (..., sizes).
     """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_size_prior - 0.5 * np.log(scale).sum(axis=-2)
 
 
 def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Floats, Floats]) -> Floats:
-    """Log evidence of an effect at each size, including the prior probability of the size, shape (..., sizes).
+    """Log evidence of an effect at each of its sizes, including the log prior probability of the size, (..., sizes).
 
     `squared_scores` has the shape (..., components); `weights_and_constants` is the result of
     `score_weights_and_constants_by_size`.
@@ -260,7 +267,7 @@ def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Fl
 
 
 def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats:
-    """Log marginal likelihood ratio of an effect against its absence, averaged over its sizes, shape (...).
+    """Log Bayes factor of an effect against its absence, averaged over the sizes of the effect, shape (...).
 
     Parameters
     ----------

@@ -16,11 +16,11 @@ from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
-"""Calibration, path of its file, or path of the folder that contains the file."""
+"""Calibration, or path of its file or of the folder with this file."""
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of a calibration and its companion files to a folder; returns the calibration with their digests.
+    """Writing of a calibration and its tables to a folder; returns the calibration with the digests of the files.
 
     The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance.
 
@@ -51,15 +51,15 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
 
 
 def load_calibration(source: CalibrationSource) -> Calibration:
-    """Calibration itself, or the calibration read from a path."""
+    """Calibration from an object or a path: the object itself, or the calibration read from the path."""
     return source if isinstance(source, Calibration) else read_calibration(Path(source))
 
 
 def read_calibration(path: Path) -> Calibration:
     """Calibration read from a `calibration.json`, or from the folder that contains it.
 
-    The targets and the network are not in this file. Without a covariance in the file the parameters are uncorrelated.
-    Missing parameters are zero with their prior standard deviation, and a warning reports them.
+    The targets and the network are not in this file. Without a covariance in the file the parameters count as
+    uncorrelated. Missing parameters are zero with their prior standard deviation, and a warning reports them.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
-    """Check of the names and units of reflector parameters against `smr-incidence`; raises RecordError."""
+    """Check of names and units of reflector parameters against the effect `smr-incidence`; raises RecordError."""
     unit_by_name = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in calibration.reflectors:
         for row in entry.parameters:
@@ -90,7 +90,7 @@ def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
 
 
 def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
-    """Warning that the readings of a calibration contradict its model; empty if they do not."""
+    """Warning that the readings of a calibration contradict its model; empty if they do not contradict it."""
     if content.uncertainty_factor == 1.0:
         return ()
     return (
@@ -101,7 +101,7 @@ def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
 
 
 def _missing_parameters_warnings(names: list[str], file: Path) -> tuple[str, ...]:
-    """Warning that lists the parameters missing in a file; empty if there are none."""
+    """Warning with the names of the parameters that a file lacks; empty if it lacks none."""
     if not names:
         return ()
     phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

@@ -1,4 +1,4 @@
-"""Result of `history`: parameters of an instrument over its calibrations, and their changes."""
+"""History of an instrument: result of `history` with its parameters in successive calibrations, and their changes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal, Self
@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry, ChiSquareEntry
-from ltsim.calibration.events import EventEntry, significant_steps
+from ltsim.calibration.events import EventEntry, significant_parameter_steps
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import names_text
@@ -18,43 +18,45 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFlo
 
 
 class ParameterHistory(Entry):
-    """Values of one parameter in successive calibrations, in its display unit."""
+    """Values of one parameter in successive calibrations, in its display unit, with their mean and constancy test."""
 
     name: str
     """Name of the parameter."""
     unit: str = ""
     """Unit of all numbers of the entry."""
     values: tuple[Finite, ...]
-    """Estimates, one per calibration."""
+    """Estimates of the parameter, one per calibration."""
     sigmas: tuple[NotNegative, ...]
     """Standard deviations of the estimates, one per calibration."""
     prior_sigma: OptionalFloat = None
     """Prior standard deviation of the parameter."""
     mean: Finite
-    """Weighted mean of the estimates."""
+    """Weighted mean of the estimates of all calibrations."""
     between_calibration_sigma: Finite
-    """Standard deviation of the parameter from calibration to calibration, without estimation errors."""
+    """Standard deviation of the true value between calibrations; estimation errors are not included."""
     constancy_test: ChiSquareEntry
     """Chi-square test that the parameter is the same in all calibrations."""
 
 
 class HistoryCalibration(Entry):
-    """Calibration in a history: its label and its fit."""
+    """Calibration in a history: its label and its fit statistics."""
 
     label: str
     """Name of the calibration in the report."""
     fit: FitEntry
-    """Agreement of readings and model."""
+    """Fit statistics of the calibration: chi-square, sigma0 and p-value."""
 
 
 INSTRUMENT_CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
-        *text_columns(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
+        *text_columns(
+            **{"from": "the earlier calibration"}, to="the later calibration", above_all="parameters that differ"
+        ),
         Column("chi2", "weighted sum of squares of the differences", display_format=".1f"),
         Column("parameters", "degrees of freedom"),
-        Column("p_value", "p-value of such differences without a change", "p_value", title="p"),
+        Column("p_value", "p-value of the test that the instrument did not change", "p_value", title="p"),
     ),
 )
 PARAMETER_HISTORIES_TABLE = Table(
@@ -63,20 +65,20 @@ PARAMETER_HISTORIES_TABLE = Table(
     (
         *text_columns(parameter="name"),
         Column("last", "estimate of the last calibration", sigma_column="sigma_last"),
-        Column("sigma_last", "its standard deviation"),
-        *text_columns(unit="of all numbers of the row"),
+        Column("sigma_last", "standard deviation of this estimate"),
+        *text_columns(unit="unit of all numbers in the row"),
         Column("mean", "weighted mean of the estimates", n_digits=3),
         Column("spread", "standard deviation between calibrations, without estimation errors", n_digits=3),
-        Column("p_constant", "p-value of no change", "p_value"),
+        Column("p_constant", "p-value of the test that the parameter did not change", "p_value"),
     ),
 )
 CALIBRATION_FITS_TABLE = Table(
     "fits.csv",
-    "agreement of readings and model of each calibration",
+    "fit statistics of each calibration",
     (
         *text_columns(calibration="label"),
         Column("chi2", "weighted sum of squares", n_digits=3),
-        Column("degrees_of_freedom", "of the fit"),
+        Column("degrees_of_freedom", "degrees of freedom of the fit"),
         Column("sigma0", "standard deviation of unit weight", n_digits=3),
     ),
 )
@@ -96,13 +98,13 @@ EVENTS_TABLE = Table(
 
 
 class History(ResultFile):
-    """Result of `history`, with the content of `history.json`."""
+    """History of an instrument: result of `history`, with the content of `history.json`."""
 
     FILE: ClassVar[str] = "history.json"
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
-    """Format and version of this file."""
+    """Name and version of the file format."""
     construction: str = ""
-    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
+    """Name of the geometric error model: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
     calibrations: tuple[HistoryCalibration, ...] = Field(min_length=1)
     """Calibrations in chronological order."""
     parameters: tuple[ParameterHistory, ...] = ()
@@ -111,11 +113,12 @@ class History(ResultFile):
     """Covariance of the mean parameters, in their units. Combinations that no calibration determines have their prior
     variance."""
     constancy_test: ChiSquareEntry | None = None
-    """Chi-square test that no parameter changed."""
+    """Chi-square test that no parameter changed; null if it cannot be computed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
-    """Significant steps of parameters; empty also if there are too few calibrations for a test."""
+    """Significant changes of parameters between successive calibrations; empty also if there are too few
+    calibrations for a test."""
     change_since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
@@ -133,35 +136,35 @@ class History(ResultFile):
             parameters=tuple(_parameter_history(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
             constancy_test=series.constancy_test(),
-            changes=tuple(series.changes()),
-            events=significant_steps(series),
-            change_since_first=series.change(0, len(series) - 1),
+            changes=tuple(series.successive_changes()),
+            events=significant_parameter_steps(series),
+            change_since_first=series.change_between(0, len(series) - 1),
         )
         result._series = series
         return result
 
     @property
     def series(self) -> CalibrationSeries:
-        """Calibrations as arrays; raises ModelError for a history that was read from a file."""
+        """Calibrations of the history as arrays; raises ModelError for a history that was read from a file."""
         if self._series is None:
             raise ModelError("a history read from a file has no calibrations; call lt.history with them")
         return self._series
 
     @property
     def labels(self) -> list[str]:
-        """Labels of the calibrations."""
+        """Labels of the calibrations in chronological order."""
         return [calibration.label for calibration in self.calibrations]
 
     @property
     def determined_parameters(self) -> list[ParameterHistory]:
-        """Parameters that at least two calibrations determine; only their constancy can be tested."""
+        """Parameters that at least two calibrations determine, so that their constancy can be tested."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:
         since, labels = self.change_since_first, self.labels
         return [
             f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
-            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
+            f"first to last calibration: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
@@ -177,20 +180,20 @@ class History(ResultFile):
         }
 
     def _table_by_calibration(self, values_by_parameter: Sequence[tuple[float, ...]]) -> ColumnValues:
-        """Table with one row per calibration and one column per parameter, from the values of each parameter."""
+        """Table with a row per calibration and a column per parameter, from the values of each parameter."""
         columns = {
             f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, values_by_parameter, strict=True)
         }
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:
-        """Changes from each calibration to the next, and from the first to the last."""
+        """Table of changes from each calibration to the next, and from the first to the last."""
         candidates = [*self.changes, self.change_since_first] if len(self.changes) > 1 else [self.change_since_first]
         return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
                 c.from_,
                 c.to,
-                names_text(c.changed_parameters) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
+                names_text(c.changed_parameters) or ("no single parameter" if c.p_value < FAMILY_WISE_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,
@@ -214,7 +217,7 @@ class History(ResultFile):
 
 
 def _parameter_history(series: CalibrationSeries, parameter_index: int) -> ParameterHistory:
-    """Values of one parameter over the calibrations of a series, in its display unit."""
+    """Values of the parameter with the index `parameter_index` over a series of calibrations, in its display unit."""
     parameter, population = series.construction.parameters[parameter_index], series.population
     return ParameterHistory(
         name=parameter.name,

@@ -1,4 +1,4 @@
-"""Adjustment of a network with the identified causes of its misfit in the model, for all verbs."""
+"""Adjustment of a network that models the identified single causes of its misfit (such as a moved station)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,16 +31,16 @@ from ltsim.recordings.result_file import SourceEntry
 
 @dataclass(frozen=True)
 class IdentifiedNetwork:
-    """Network of a recording, adjusted with the identified causes of its misfit in the model."""
+    """Adjusted network of a recording, with the identified single causes of its misfit in the model."""
 
     adjustment: Adjustment
-    """Adjustment with the causes in its model."""
+    """Adjustment with the identified causes in its model."""
     recording_entry: SourceEntry
-    """Description of the recording as it was read."""
+    """Description of the recording file as it was read."""
     tests: tuple[CauseTest, ...]
-    """Tests of the causes and of the outliers."""
+    """Tests of the identified causes and of the outliers."""
     uncertainty_factor: float
-    """Factor on the standard deviations: sigma0 if the readings contradict the model, otherwise 1."""
+    """Factor on all standard deviations: sigma0 if the readings contradict the model, otherwise 1."""
 
     @classmethod
     def from_recording(
@@ -51,7 +51,7 @@ class IdentifiedNetwork:
         robust: bool = False,
         datum_names: Sequence[str] | None = None,
     ) -> Self:
-        """Network of a recording with the prior of the set-up; `datum_names` are the targets that define the datum.
+        """Network of a recording, with the prior of its set-up; `datum_names` are the targets that define the datum.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
         """
@@ -69,7 +69,7 @@ class IdentifiedNetwork:
         robust: bool = False,
         datum_names: Sequence[str] | None = None,
     ) -> Self:
-        """Network as in `from_recording`, with the selected causes of `identify_causes` for the recording."""
+        """Network as in `from_recording`, for causes that `identify_causes` already selected for the recording."""
         try:
             adjustment = adjust_with_cause_selection(
                 recording, construction, robust, None, datum_names, selection=selection
@@ -82,18 +82,18 @@ class IdentifiedNetwork:
 
     @property
     def corrections_text(self) -> str:
-        """Sentence on the number and place of the causes in the model; empty without a cause."""
+        """Sentence on the number and place of the identified causes of a misfit in the model; empty without a cause."""
         excluded_names = [test.name for test in self.adjustment.rejected_references]
         return corrections_sentence(self.tests, excluded_names)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on the causes in the model and on readings that contradict the model; empty for a good network."""
+        """Sentences on the causes in the model, and on readings that contradict the model; empty without any."""
         return tuple(dict.fromkeys(filter(None, (self.corrections_text, *self.warnings))))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on each cause in the model, and on readings that contradict the model with the next action."""
+        """Warnings on each cause in the model, and on readings that contradict the model, with the next action."""
         faults = corrected_faults(self.tests)
         warnings = [test.sentence for test in faults if test.sentence]
         if moved := [name for test in faults if test.kind == "target-moved" for name in test.where.targets]:
@@ -124,7 +124,10 @@ def adjust_with_cause_selection(
     selection: CauseSelection | None = None,
     effects: Sequence[LinearEffect] = (),
 ) -> Adjustment:
-    """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
+    """Adjustment with the options of a calibration, with `effects`, and with the selected causes of a misfit.
+
+    `selection` is the result of `identify_causes`; None for no causes.
+    """
     how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
     if selection is not None and selection.requires_adjustment_with_causes:
         fit = selection.fit
@@ -155,12 +158,12 @@ def adjust_with_cause_selection(
 
 
 def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
-    """Sentences on the selected causes of a misfit, the most certain cause first."""
+    """Sentences on the selected causes of a misfit, from the most to the least certain cause."""
     return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """Adjustment unchanged; raises NetworkError if a datum is requested but control points define the frame."""
+    """The given adjustment; raises NetworkError if `datum` is requested although control points define the frame."""
     if datum and not adjustment.problem.free_motions.shape[1]:
         raise NetworkError(
             "the control points define the frame already: leave out the datum, or the coordinates of the control points"

@@ -14,7 +14,6 @@ from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
 from ltsim.calibration.identified_network import adjust_with_cause_selection, network_uncertainty_factor
 from ltsim.calibration.prior_conflict import (
     contradicted_prior_mask,
@@ -23,6 +22,7 @@ from ltsim.calibration.prior_conflict import (
 )
 from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, ParameterSelection
 from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
+from ltsim.calibration.requested_effects import RequestedEffect, fit_with_requested_effects
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.calibration.undetermined import undetermined_entries
@@ -47,7 +47,7 @@ def calibrate_network(
     datum: Sequence[str] | None = None,
     parameter_selection: ParameterSelection | None = None,
     choose_correction: bool = True,
-    extra_effects: Sequence[RequestedEffect] = (),
+    requested_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
     """Calibration by the method `network` of `ltsim.calibrate`, with its options and errors and with further options.
 
@@ -56,16 +56,16 @@ def calibrate_network(
     parameter_selection : ParameterSelection, optional
         Parameters to estimate, and their prior. Default: all, with the prior of the set-up.
     choose_correction : bool
-        True to shrink the correction (`calibration.shrinkage`), to widen the prior of constants that contradict it, and
+        True to shrink the correction (`calibration.shrinkage`), to widen priors that the readings contradict, and
         to identify single causes of a misfit, such as a moved station. If False, the model and the priors are the
         declared ones, and the estimates are linear in the readings.
-    extra_effects : sequence of RequestedEffect
+    requested_effects : sequence of RequestedEffect
         Effects of the catalogue and empirical laws that are estimated together with the parameters.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS, "a calibration")
     model = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
-    for wanted in extra_effects:
+    for wanted in requested_effects:
         wanted.require_estimable(recording, model)
     modes = [RangeMode()] if model.n_parameters and DISTANCE_METER_COLUMN in recording.regressor_covariates else []
     expected_prior = expected_error_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
@@ -76,7 +76,7 @@ def calibrate_network(
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ, tried_sets, alternates = "", True, [freed], False
     # A single cause of a misfit could absorb an effect that the user requests.
-    selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
+    selection = identify_causes(recording, model, prior) if choose_correction and not requested_effects else None
     for remaining in reversed(range(MAX_DECISION_CHANGES if choose_correction else 1)):
         adjusted = partial(
             adjust_with_cause_selection,
@@ -89,7 +89,7 @@ def calibrate_network(
             selection,
         )
         try:
-            adjustment, fits = fit_with_extra_effects(adjusted, modes, extra_effects)
+            adjustment, fits = fit_with_requested_effects(adjusted, modes, requested_effects)
         except ConvergenceError:
             if not quiet_by:
                 raise
@@ -184,17 +184,17 @@ def adjust(
     adjustment = adjust_with_cause_selection(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
-    tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
+    tests, constants = () if selection is None else cause_tests(selection), _fit_with_instrument_constants(adjustment)
     options = {"robust": robust, "tests": tests, "fit_with_constants": constants}
     return with_reported_uncertainty(
         _make_calibration(source, adjustment, "adjustment", recommend_measurements=False, **options)
     )
 
 
-def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit of the used readings that also estimates the instrument constants, if the fit without these is rejected.
+def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
+    """Fit statistics with the instrument constants estimated too, from the readings in use.
 
-    It is None if the fit without instrument constants is accepted, and for corrected instruments.
+    It is None for corrected instruments, and if the fit without instrument constants is not rejected.
     """
     recording = adjustment.recording
     if recording.is_corrected or network_uncertainty_factor(adjustment) == 1.0:
@@ -214,12 +214,12 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
 
 
 def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
-    """Grouping of the readings for the estimation of their noise; None if it is not estimated."""
+    """Grouping of the readings for the estimation of their noise; None if the noise is not estimated."""
     return "instrument" if noise_from_data else None
 
 
 def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
-    """Names of the targets with an accepted cause that is no outlier of a single reading."""
+    """Names of the targets with a selected cause of a misfit, other than an outlier of a single reading."""
     faults = (test for test in tests if test.is_fault and test.kind != "outlier")
     return tuple(dict.fromkeys(name for test in faults for name in test.where.targets))
 
@@ -227,7 +227,7 @@ def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
 def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
 ) -> Calibration:
-    """Calibration from an adjusted network; `fields` are further fields of the result."""
+    """Calibration from an adjusted network; `fields` are other fields of the result."""
     recording, construction = adjustment.recording, adjustment.construction
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
     is_fixed = adjustment.problem.prior.is_fixed

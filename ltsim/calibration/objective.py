@@ -1,8 +1,8 @@
 """The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
 
-Distances between all pairs of targets are compared between all pairs of stations, and distances of the gauge with their
-reference lengths. Distances do not depend on poses. The two faces of a station count as two stations, because their
-mean would hide errors that change sign with the face.
+Distances between all pairs of targets are compared between all pairs of stations. Distances on the gauge (reflectors at
+known distances) are compared with their reference lengths. Distances do not depend on poses. The two faces of a station
+count as two stations, because their mean would hide errors that change sign with the face.
 
 For least squares the sum over pairs of stations equals the number of stations times the sum of squared deviations from
 the mean over stations. The cost of the objective is then linear in the number of stations.
@@ -24,21 +24,22 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class PairDistances:
-    """Distances between targets within each set (one station and one face), and their derivatives."""
+    """Distances between pairs of targets within each set of pointings (one station and one face), with derivatives."""
 
     lengths: Floats
-    """Distances, shape (distances,) [m]."""
+    """Distances between the two targets of each pair, shape (distances,) [m]."""
     target_pair_indices: Ints
-    """Index of the pair of targets of each distance, shape (distances,)."""
+    """Index of the pair of targets to which each distance belongs, shape (distances,)."""
     parameter_derivatives: Floats
-    """Derivative of each distance with respect to each parameter in prior sigmas, shape (distances, parameters) [m]."""
+    """Derivative of each distance with respect to each parameter in prior standard deviations, shape (distances,
+    parameters) [m]."""
     reading_derivatives: sp.csr_array
     """Derivative of each distance with respect to each whitened reading, shape (distances, 3 pointings) [m]."""
 
 
 @dataclass(frozen=True)
 class DistanceProblem:
-    """Distances within each set (station and face) of pointings, as functions of instrument parameters and readings."""
+    """Distances within each set of pointings (station and face), as functions of instrument parameters and readings."""
 
     recording: Recording
     """Recording; pointings without a range or an angle are not used."""
@@ -49,7 +50,7 @@ class DistanceProblem:
 
     @cached_property
     def reference_lengths(self) -> GaugeRows:
-        """Reference lengths declared in the set-up."""
+        """Reference lengths (of the gauge) that the set-up declares."""
         return GaugeRows.from_recording(self.recording)
 
     @cached_property
@@ -60,9 +61,10 @@ class DistanceProblem:
 
     @cached_property
     def _averaging_matrix(self) -> tuple[sp.csr_array, Floats]:
-        """Matrix (mean points, pointings) that averages the pointings of each set to each target, and indices.
+        """Matrix (mean points, pointings) that averages the pointings of each set to each target, with indices.
 
-        The indices (mean points, 2) are the set (station and face) and the target of each mean point.
+        A set is the pointings of one station in one face. The indices (mean points, 2) are the set and the target of
+        each mean point.
         """
         n_targets = len(self.recording.targets)
         key = self.station_face_indices * n_targets + self.recording.target
@@ -74,7 +76,10 @@ class DistanceProblem:
 
     @cached_property
     def _distance_end_and_pair_indices(self) -> tuple[Ints, Ints, Ints]:
-        """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
+        """Indices of the first and second mean point of each distance, and the index of its pair of targets.
+
+        A mean point is the mean of the pointings of one station and face to a target.
+        """
         sets, target = self._averaging_matrix[1].T
         a, b = _pairs_within_groups(
             np.flatnonzero(sets == number) for number in range(int(self.station_face_indices.max(initial=-1)) + 1)
@@ -83,12 +88,12 @@ class DistanceProblem:
         return a, b, target[a] * len(self.recording.targets) + target[b]
 
     def _check_matrix_size(self, n_rows: int) -> None:
-        """Check that the matrix of the distances is not too large; raises NetworkError."""
+        """Check that the matrix of the distances, with `n_rows` rows, is not too large; raises NetworkError if so."""
         if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
             raise NetworkError(f"the distance objective has too many distances ({n_rows}); use the method network")
 
     def distances_at(self, unknowns: Floats) -> PairDistances:
-        """Distances within all sets (station and face), for `unknowns`: instrument parameters in prior sigmas."""
+        """Distances within all sets (station and face); `unknowns` are instrument parameters in prior sigmas."""
         point, by_reading, by_value = self._points_and_derivatives(self.recording.readings, unknowns)
         group = self._distance_end_and_pair_indices[2]
         length, unit, by_parameter = self._distances_and_derivatives(point, by_value)
@@ -102,7 +107,8 @@ class DistanceProblem:
     def _distances_and_derivatives(self, point: Floats, point_derivatives: Floats) -> tuple[Floats, Floats, Floats]:
         """Distances between mean points, unit vectors along them, and derivatives with respect to the parameters.
 
-        The shapes are (distances,), (distances, 3) and (distances, parameters).
+        A mean point is the mean of the pointings of one station and face to a target. The shapes are (distances,),
+        (distances, 3) and (distances, parameters).
         """
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
@@ -114,14 +120,14 @@ class DistanceProblem:
         return distances, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
-        """Distances (distances, trials) within sets (station and face), for points (pointings, 3, trials)."""
+        """Distances (distances, trials) within all sets (station and face), from points (pointings, 3, trials)."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
     def _points_and_derivatives(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Measured points (pointings, 3), and their derivatives.
+        """Measured points (pointings, 3), and their derivatives by readings and parameters.
 
         The derivatives are with respect to the whitened readings, shape (pointings, 3, 3), and to the parameters of all
         instruments in prior standard deviations, shape (pointings, 3, parameters).
@@ -152,7 +158,7 @@ class DistanceProblem:
         return sp.csr_array(total)
 
     def gauge_match_indices(self, distances: PairDistances) -> tuple[Ints, Ints]:
-        """Indices of the distances that have a reference length, and the index of this length for each."""
+        """Indices of the distances with a reference length, and for each of them the index of this length."""
         n_targets = len(self.recording.targets)
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
@@ -163,9 +169,9 @@ class DistanceProblem:
 
 
 def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]:
-    """Matrix that subtracts from each distance its mean over all sets (station and face), and the number of sets.
+    """Matrix (distances, distances) that subtracts from each distance its mean over all sets (station and face).
 
-    The matrix has the shape (distances, distances).
+    The second result is the number of sets in which each distance was measured.
     """
     _, group, count = np.unique(distances.target_pair_indices, return_inverse=True, return_counts=True)
     rows = np.arange(len(group))
@@ -177,14 +183,14 @@ def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]
 def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
     """Indices of the first and second distance of each comparison: one pair of targets, measured in two sets.
 
-    A set is the pointings of one station and face.
+    A set is the pointings of one station in one face.
     """
     order = np.argsort(distances.target_pair_indices, kind="stable")
     return _pairs_within_groups(np.split(order, np.flatnonzero(np.diff(distances.target_pair_indices[order])) + 1))
 
 
 def _pairs_within_groups(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
-    """First and second index of each pair of indices in one group; a group is an array of indices."""
+    """First and second index of each pair of indices in the same group; a group is an array of indices."""
     pairs_by_group = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
     first, second = np.concatenate(pairs_by_group, axis=1)
     return first, second

@@ -1,4 +1,4 @@
-"""Tests for contradictions between the readings and the prior of a parameter."""
+"""Tests whether the readings contradict the prior of an instrument parameter."""
 
 from collections.abc import Collection
 
@@ -23,30 +23,30 @@ from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 MAX_NOISE_FREE_SIGMA0 = 0.1
 """Sigma0 (root of chi-square per degree of freedom) below which readings count as simulated without noise."""
 MAX_SIGMA0_FOR_WIDENING = 2.0
-"""Largest sigma0 at which a contradicted prior is widened; above it the readings contradict each other, not only the
+"""Largest sigma0 at which a contradicted prior is widened. Above it the readings contradict each other, not only the
 prior."""
 MAX_WIDENED_PRIOR_FRACTION = 0.25
-"""Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more parameters
-contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
-CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
-"""Noun phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
+"""Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more priors
+are contradicted, the scale of all priors is wrong; `shrinkage` then estimates this scale."""
+CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves errors of"
+"""Phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
-    """Square root of chi-square per degree of freedom, without the part of chi-square that the prior contributes."""
+    """Square root of chi-square per degree of freedom, without the contribution of the prior to chi-square."""
     gap = adjustment.problem.prior.whitened_residuals(adjustment.state.instrument_parameters)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
 def informative_parameter_mask(adjustment: Adjustment) -> Bools:
-    """Mask (parameters,) of the free parameters of all instruments on which the readings have information."""
+    """Mask (parameters,) of those free parameters of all instruments about which the readings have information."""
     prior, columns = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.retained_covariance)[columns] / prior.sigma.ravel() ** 2
     return np.asarray(~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN))
 
 
 def is_noise_overstated(adjustment: Adjustment) -> bool:
-    """True if readings scatter significantly less than declared, so that the declared noise is too large."""
+    """True if the residuals are significantly smaller than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= MIN_DOF_FOR_ESTIMATED_NOISE and sigma0_of_readings(adjustment) > MAX_NOISE_FREE_SIGMA0
     return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_TEST_LEVEL)
 
@@ -56,7 +56,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
     A tested contradiction is a change of one parameter of one instrument, or of the same parameter of all instruments.
     The parameters are selected by `forward_select`; a selected parameter has a wide prior while the other parameters
-    are tested. The prior of the adjustment may already be wider than `prior`.
+    are tested. `prior` is the declared prior; the prior of the adjustment may already be wider.
     """
     rejected, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.has_correlations or not np.isfinite(prior.sigma).all() or not scale < MAX_SIGMA0_FOR_WIDENING:
@@ -85,7 +85,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(selected_changes))
         estimate = directions @ score / np.where(informative, strength, np.inf)
         odds = np.round(
-            log_odds_of_wrong_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
+            log_odds_of_changed_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
         )
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
@@ -95,7 +95,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
 
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
-    """Sentences on the parameters that contradict their prior most; if there are none, on a contradicting combination.
+    """Sentences on the parameters that contradict their prior most, or else on a contradicting combination.
 
     Parameters whose prior was widened are reported too. Parameters and combinations share one prior probability of a
     contradiction.
@@ -107,7 +107,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     scale, lengths = max(1.0, calibration.adjustment.sigma0), len(calibration.adjustment.problem.gauge_rows)
     instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)
     references = [
-        CORRECTED_INSTRUMENT_TEXT if instrument.corrected else "its declared prior of" for instrument in instruments
+        CORRECTED_INSTRUMENT_PHRASE if instrument.corrected else "its declared prior of" for instrument in instruments
     ]
     sentences = []
     for k in np.flatnonzero(freed).tolist():
@@ -122,7 +122,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     gain = np.where(calibration.is_fixed | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()
     deviation = ((calibration.estimates - prior.mean) / calibration.prior_sigma).ravel()
     w = _normalised_deviations(deviation, gain) / scale
-    odds = log_odds_of_wrong_constants(w, gain, freed.size + size * (len(freed) > 1))
+    odds = log_odds_of_changed_constants(w, gain, freed.size + size * (len(freed) > 1))
     contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not contradictions:
         return (*sentences, *_combination_sentences(calibration, prior, scale))
@@ -138,13 +138,13 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def log_odds_of_wrong_constants(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
-    """Log posterior odds that each constant is wrong, shape (candidates,).
+def log_odds_of_changed_constants(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
+    """Log posterior odds that each of several instrument constants changed, shape (candidates,).
 
-    `normalised_changes` (candidates,) are the changes of the constants divided by their standard deviations,
-    `information` (candidates,) is the information on each constant, in inverse prior variances. One error is expected
-    among `n_constants` constants with a fixed probability. The evidence is averaged over sizes, so that a constant with
-    little information needs a larger change.
+    `normalised_changes` (candidates,) are the changes divided by their standard deviations, `information` (candidates,)
+    is the information on each constant, in inverse prior variances. One change is expected among `n_constants`
+    constants with a fixed probability. The evidence is averaged over sizes, so that a constant with little information
+    needs a larger change.
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(
@@ -162,7 +162,7 @@ def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Float
 
 
 def _combination_sentences(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
-    """Sentence on the combination of parameters that contradicts the prior most; empty if none does significantly.
+    """Sentence on the combination of parameters that contradicts the prior most; empty without a contradiction.
 
     The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.
     """

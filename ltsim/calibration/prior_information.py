@@ -15,33 +15,33 @@ from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, RecordError, unknown_name_error
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.model.construction import GeometricErrorModel, all_parameter_names
+from ltsim.physics.model.construction import GeometricErrorModel, all_instrument_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 NO_PRIOR_SIGMA_FACTOR = 1000.0
-"""Factor on the prior standard deviations of the set-up that represents a calibration without a prior. The prior
-standard deviations are then 10 to 20 mm and 15 mrad, for which the linearisation is still valid."""
+"""Factor on the prior standard deviations of the set-up for a calibration without a prior. The resulting standard
+deviations are 10 to 20 mm and 15 mrad, for which the linearisation is still valid."""
 
 
 @dataclass(frozen=True)
 class EarlierCalibrationPrior:
-    """Prior from earlier calibrations: means and covariance, by names of instruments and parameters."""
+    """Prior from earlier calibrations: mean and covariance of the parameters of one or several instruments."""
 
     construction: str
-    """Name of the instrument model of the earlier calibrations."""
+    """Name of the geometric error model of the earlier calibrations."""
     parameters: tuple[str, ...]
     """Names of the parameters."""
     instruments: tuple[str, ...]
-    """Names of the instruments; a single instrument applies to any instrument of a recording."""
+    """Names of the instruments. A prior of a single instrument applies to any instrument of a recording."""
     mean: Floats
     """Mean of the parameters, shape (instruments, parameters) [SI]."""
     covariance: Floats
     """Covariance of the parameters of each instrument, shape (instruments, parameters, parameters) [SI]."""
     between_calibration_sigma: Floats
-    """Standard deviation of each parameter from calibration to calibration [SI]; 0 for a single calibration."""
+    """Standard deviation of each parameter between calibrations [SI]; 0 for a single calibration."""
     n_calibrations: int = 1
-    """Number of calibrations."""
+    """Number of earlier calibrations."""
 
     @classmethod
     def from_source(
@@ -64,7 +64,7 @@ class EarlierCalibrationPrior:
 
     @classmethod
     def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrationPrior:
-        """Prior from a calibration, without its fixed parameters."""
+        """Prior from a single calibration, without its fixed parameters."""
         free_indices = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
         count, size = calibration.estimates.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
@@ -98,9 +98,9 @@ class EarlierCalibrationPrior:
     def replace_nominal_prior(
         self, nominal_prior: ParameterPrior, construction: GeometricErrorModel, instruments: tuple[str, ...]
     ) -> ParameterPrior:
-        """Prior of the instruments of a recording, from the earlier calibrations where these have the parameter.
+        """Prior of the instruments of a recording, with mean and covariance from the earlier calibrations.
 
-        Other parameters keep their prior of `nominal_prior`.
+        Parameters that the earlier calibrations lack keep their prior of `nominal_prior`.
 
         Raises
         ------
@@ -135,25 +135,25 @@ class ParameterSelection:
     """
 
     estimated_parameters: Sequence[str] | None = None
-    """Names of the parameters to estimate; all others are fixed at zero. None selects all."""
+    """Names of the parameters to estimate; all others are fixed at zero. None selects all parameters."""
     excluded_parameters: Sequence[str] = ()
     """Names of the parameters that are fixed at zero."""
     fixed_values: Mapping[str, float] = field(default_factory=dict)
-    """Value of each parameter that is fixed at a value, by its name, in the parameter's display unit."""
+    """Value of each parameter that is fixed at a value, in its display unit, by the name of the parameter."""
     earlier_calibration_prior: EarlierCalibrationPrior | None = None
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
-    """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
-    those that the recording's file `setup.toml` declares or implies."""
+    """True for a calibration without a prior: the prior standard deviations of the recording's `setup.toml`
+    (declared or default) are then multiplied by `NO_PRIOR_SIGMA_FACTOR`."""
 
     def prior_of(self, recording: Recording, construction: GeometricErrorModel) -> ParameterPrior:
-        """Prior of a recording's instruments for this selection; raises ModelError or InputError for wrong names."""
+        """Prior of a recording's instruments with this selection; raises ModelError or InputError for wrong names."""
         return self.prior_with_sigma(prior_sigmas(recording, construction), recording, construction)
 
     def prior_with_sigma(
         self, sigma: Floats, recording: Recording, construction: GeometricErrorModel
     ) -> ParameterPrior:
-        """Prior of a recording's instruments for this selection and given sigmas (instruments, parameters) [SI]."""
+        """Prior of a recording's instruments with this selection and with the sigmas (instruments, parameters) [SI]."""
         check_prior_names(recording, construction)
         nominal_prior = ParameterPrior.from_sigmas(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
         if self.earlier_calibration_prior is not None:
@@ -195,7 +195,7 @@ def parameter_vector_indices(
 ) -> list[int]:
     """Indices of a parameter, or of all parameters with a given prefix, in the vector of all instruments' parameters.
 
-    ModelError is raised if there is none.
+    Raises ModelError if there is none.
     """
     name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:
@@ -209,10 +209,10 @@ def parameter_vector_indices(
 
 
 def check_prior_names(recording: Recording, construction: GeometricErrorModel) -> None:
-    """Check that the set-up declares priors only for parameters of the instrument model; raises InputError."""
+    """Check that the set-up declares priors only for parameters of `construction`; raises InputError otherwise."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
-    parameter_names = {*construction.parameter_names, *all_parameter_names()}
+    parameter_names = {*construction.parameter_names, *all_instrument_parameter_names()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
             if name not in parameter_names:

@@ -1,4 +1,4 @@
-"""Reported standard deviations: multiplied by sigma0 if the readings contradict the model, with errors of the air."""
+"""Reported standard deviations: scaled by sigma0 if the readings contradict the model, and with errors of the air."""
 
 from __future__ import annotations
 
@@ -31,17 +31,18 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.recordings.summary import recording_noise_text
 
 FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
-"""Type of a result entry with estimated parameters: effect or reflector."""
+"""Type of a result entry with estimated parameters: of an effect or of a reflector."""
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
-"""Smallest rms displacement of the targets by an error without effect on the readings, relative to their rms standard
-deviation, at which this error is reported."""
+"""Smallest rms displacement of the targets by an error that does not change the readings, relative to their rms
+standard deviation, at which the error is reported."""
 
 
 def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None) -> float:
-    """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
+    """Factor on the standard deviations: sigma0 if the readings contradict the model, otherwise 1.
 
-    `is_sigma0_credible` states whether the verdict on the tests prefers sigma0 to the declared noise. If it is None,
-    the global test decides, at the level `TWO_SIDED_GLOBAL_TEST_LEVEL`.
+    It is sigma0 if sigma0 is significantly above 1 and not because of single readings. `is_sigma0_credible` states
+    whether the verdict on the tests prefers sigma0 to the declared noise. If it is None, the global test decides, at
+    the level `TWO_SIDED_GLOBAL_TEST_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
@@ -50,7 +51,10 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
-    """Copy of a calibration with the reported standard deviations of targets, stations and parameters."""
+    """Copy of a calibration whose standard deviations include errors of the air and a contradiction of the model.
+
+    They are multiplied by sigma0 if the readings contradict the model.
+    """
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(
         calibration.fit, is_sigma0_credible=verdict.is_sigma0_credible if verdict.case else None
@@ -77,7 +81,10 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
 
 
 def target_covariance_csv_text(calibration: Calibration) -> str | None:
-    """Text of `targets.covariance.csv`, the joint covariance of targets; None for no network or too many targets."""
+    """Text of `targets.covariance.csv`, the joint covariance of the targets.
+
+    None for a calibration without network, and for too many targets.
+    """
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
@@ -88,9 +95,9 @@ def target_covariance_csv_text(calibration: Calibration) -> str | None:
 
 
 def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Floats:
-    """Covariance of the parameters if the noise of the readings is `factor` times as large, with an unchanged prior.
+    """Covariance of the parameters if the noise of the readings is `factor` times as large and the prior is unchanged.
 
-    The shape is (parameters, parameters) for the parameters of all instruments. With C the covariance in prior standard
+    The shape is (parameters, parameters) for the parameters of all instruments. With the covariance C in prior standard
     deviations, C^-1 - 1 is the information of the readings, which is divided by the square of the factor.
     """
     covariance, adjustment = calibration.covariance, calibration.adjustment
@@ -109,7 +116,7 @@ def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Flo
 
 
 def _scaled_pose(pose: StationPose, factor: float, covariance_due_to_air: Floats) -> StationPose:
-    """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air.
+    """Pose with standard deviations multiplied by `factor`, plus the covariance (6, 6) due to errors of the air.
 
     Components that define the frame keep the standard deviation 0.
     """
@@ -128,13 +135,13 @@ def _scaled_pose(pose: StationPose, factor: float, covariance_due_to_air: Floats
 
 
 def _scaled_fitted_entry(entry: FittedEntryT, factor: float) -> FittedEntryT:
-    """Entry of an effect or reflector with standard deviations multiplied by a factor."""
+    """Entry of an effect or reflector with standard deviations multiplied by `factor`."""
     parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
 
 
 def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
-    """Errors that do not change the readings but move targets noticeably, compared with their standard deviations."""
+    """Errors that do not change the readings but displace the targets noticeably compared with their sigmas."""
     variance = np.einsum("tii->t", covariance)
     is_determined = np.isfinite(variance)
     if not is_determined.any():
@@ -148,7 +155,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
 
 
 def _noise_text(adjustment: Adjustment) -> str:
-    """Text on the noise of the readings in the fit: estimated, or as the recording, a data sheet or ltsim states it."""
+    """Text on the noise of the readings in the fit: estimated, or from the recording, a data sheet or a default."""
     recording, rows = adjustment.recording, noise_rows(adjustment)
     source_text = noise_origin(recording.notes)
     if rows:
@@ -167,7 +174,7 @@ def _noise_text(adjustment: Adjustment) -> str:
 
 
 def _air_text(adjustment: Adjustment) -> str:
-    """Text on the errors of the air that the standard deviations include; empty for short ranges or undeclared air."""
+    """Text on the errors of the air in the standard deviations; empty for short ranges or undeclared air."""
     air = relevant_air_uncertainty(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""

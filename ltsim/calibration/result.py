@@ -1,4 +1,4 @@
-"""Parts of a calibration result that all methods derive from the adjusted network."""
+"""Entries of a calibration result that all methods derive from the adjusted network."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -41,11 +41,11 @@ from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import DISTANCE_METER_COLUMN, OBSERVABLES, Recording
 
 HEIGHT_MASK = np.array([False, False, True])
-"""Mask (3,) that selects the height of a point."""
+"""Mask (3,) that selects the height among the coordinates of a point."""
 
 
 def fit_entry(adjustment: Adjustment) -> FitEntry:
-    """Fit statistics of an adjustment, with its status of convergence."""
+    """Fit statistics of an adjustment, with the status of its convergence."""
     redundant = adjustment.dof > 0
     status = adjustment.solution.status
     return FitEntry(
@@ -79,7 +79,10 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
 
 
 def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
-    """Poses of the stations with standard deviations from `covariance` (stations, 6, 6), default the adjustment's."""
+    """Poses of the stations with standard deviations from `covariance` (stations, 6, 6).
+
+    The default is the covariance of the adjustment.
+    """
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state, over = adjustment.state, adjustment.problem.marks.target_indices
@@ -127,9 +130,9 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
 
 
 def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
-    """Mask (pointings, 3) of readings whose residual estimates their error.
+    """Mask (pointings, 3) of the readings whose residual is an estimate of their error.
 
-    For a target without determined coordinates these are the readings with a large whitened residual only.
+    For a target without determined coordinates these are only the readings with a large whitened residual.
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
@@ -138,12 +141,16 @@ def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) ->
 
 
 def fit_verdict(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
-    """Verdict on which test to trust (`TWO_SIDED_GLOBAL_TEST_LEVEL`); `fit` also estimates instrument constants."""
+    """Verdict on the test to trust, if the tests of an adjustment disagree.
+
+    `fit` are the fit statistics with the instrument constants estimated too. The level is
+    `TWO_SIDED_GLOBAL_TEST_LEVEL`.
+    """
     return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
-    """Entries of the estimated noise, one per group of readings."""
+    """Entries of the noise estimated from the readings, one per group of readings."""
     problem, recording = adjustment.problem, adjustment.recording
     noise_entries = []
     for c in adjustment.variance_components:
@@ -201,7 +208,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of the axes that declared coordinates define, from their misfit to the network.
 
-    None if no coordinates are declared.
+    None if the set-up declares no such coordinates.
     """
     accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     if not accepted_tests:
@@ -221,13 +228,13 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
 
 
 def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Notes on an adjusted network: its axes, its range zeros, and a possible mirror image."""
+    """Notes for users on an adjusted network: its axes, its range zeros, and a possible mirror image."""
     kinds = (_axes_notes, range_zero_notes, _handedness_notes, _undetermined_height_notes)
     return tuple(note for notes_of in kinds for note in notes_of(adjustment))
 
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on how well declared coordinates define the axes; empty if no coordinates define only the axes."""
+    """Note for users on how well declared coordinates define the axes; empty unless they define only the axes."""
     accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
@@ -245,12 +252,12 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
-        sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
+        sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check it"
     return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
 
 
 def frame_text(adjustment: Adjustment) -> str:
-    """Description of the coordinate frame."""
+    """Description for users of the coordinate frame of an adjusted network."""
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
     first_station = recording.stations[0]
@@ -272,21 +279,20 @@ def frame_text(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {names_text(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    definition = f"is {_datum_text(adjustment, first_station)}"
+    definition = f"are defined by {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {names_text(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.is_height_undetermined_target.all()):
-        return definition.removeprefix("is ")
+        return definition.removeprefix("are defined by ")
     if not control and not problem.difference_rows.names:
-        return (
-            f"{', x '.join([f'z is defined by the levels of {names_text(levelled)}', *zeros])}; the rest {definition}"
-        )
+        axes = ", x ".join([f"z is defined by the levels of {names_text(levelled)}", *zeros])
+        return f"{axes}; the other axes {definition}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
+    return f"{' and '.join([*points, *levels, *zeros])}; the remaining free motions {definition}"
 
 
 def _datum_text(adjustment: Adjustment, station: str) -> str:
-    """Text on how the free motions of the network are fixed."""
+    """Text for users on the definition of the datum, which fixes the free motions of the network."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.datum_source
@@ -298,14 +304,17 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
 
 
 def _has_declared_datum_points(adjustment: Adjustment) -> bool:
-    """True if the set-up declares coordinates for targets of the datum."""
+    """True if the set-up declares coordinates of targets that define the datum."""
     names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
 
 
 def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
-    """Undetermined combinations of each instrument, from covariance and prior sigmas of all instruments."""
+    """Undetermined combinations of parameters of each instrument.
+
+    `covariance` and `prior_sigma` belong to the parameters of all instruments.
+    """
     n_instruments, n_parameters = prior_sigma.shape
     if not n_parameters:
         return [[] for _ in range(n_instruments)]
@@ -323,7 +332,7 @@ def criteria_entry(
 ) -> CriteriaEntry | None:
     """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
-    The correction removes the estimated effects and, if `corrects_reflectors` is set, the incidence errors of the
+    The correction removes the estimated effects and, if `corrects_reflectors` is True, the incidence errors of the
     reflectors, as in `correct`. Other estimated errors remain.
     """
     use: Bools = np.asarray(~adjustment.is_rejected_reading.any(axis=1))
@@ -342,16 +351,16 @@ def criteria_entry(
 
 
 def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
-    """Recording with ranges as if each pointing had been made with the reference SMR."""
+    """Copy of a recording with the ranges that the reference SMR would have given in each pointing."""
     offsets = smr_radius_offsets(recording)
     if offsets is None:
         return recording
-    readings = recording.readings + exact_change_by_displacement(adjustment.sightings, -offsets)
+    readings = recording.readings + reading_change_by_displacement(adjustment.sightings, -offsets)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
 def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note that a network of ranges alone may be the mirror image of the hall; empty for other networks."""
+    """Note for users that a network of ranges alone may be the mirror image of the hall; empty for other networks."""
     recording, state = adjustment.recording, adjustment.state
     if recording.is_measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
         return ()
@@ -364,13 +373,13 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the targets whose height is undetermined."""
+    """Note for users on the targets whose height is undetermined; empty without such targets."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)]
     return (f"no reading determines the height of {names_text(names)}: adjusted in plan only",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the range zeros of interferometer and absolute distance meter, if both were used."""
+    """Note for users on the range zeros of interferometer and absolute distance meter; empty unless both were used."""
     if DISTANCE_METER_COLUMN not in adjustment.recording.regressor_covariates:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):

@@ -15,7 +15,7 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, Positive, Quaternion, Sigma, Vector
 
 OBSERVABLE_DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
-"""Name and SI value of the display unit of range, azimuth and elevation."""
+"""Name and SI value of the display unit of each observable: range, azimuth, elevation."""
 
 COORDINATE_COLUMNS = (
     *text_columns(target="name"),
@@ -41,29 +41,29 @@ RESIDUALS_TABLE = Table(
 
 
 class FitEntry(Entry):
-    """Goodness of fit of readings and model; sigma0 and the p-value are null without redundancy."""
+    """Fit statistics of readings and model; sigma0 and the p-value are null without redundancy."""
 
     chi2: Finite = 0.0
     """Chi-square: weighted sum of squared residuals."""
     dof: int = 0
     """Degrees of freedom."""
     sigma0: OptionalFloat = None
-    """Square root of chi-square over degrees of freedom."""
+    """Square root of chi-square divided by the degrees of freedom."""
     p_value: OptionalFloat = None
-    """Probability of a chi-square at least this large; near 1 if readings scatter less than declared. Texts show it
-    two-sided."""
+    """Probability of a chi-square at least this large; near 1 if readings scatter less than declared. Texts show the
+    two-sided p-value."""
     iterations: int = 0
     """Number of Gauss-Newton steps."""
     status: str = "not declared"
     """`converged`, or the reason why the iteration did not converge."""
     sentence: str = ""
-    """Sentence on the convergence."""
+    """Sentence for users on the convergence."""
     chi2_sigma: OptionalFloat = None
-    """Expected standard deviation of chi-square, if it is not the square root of 2 dof."""
+    """Expected standard deviation of chi-square; null if it is the square root of 2 dof."""
 
 
 class ParameterEntry(Entry):
-    """Estimate of a parameter in its display unit."""
+    """Estimate of an instrument parameter in its display unit."""
 
     name: str
     """Name of the parameter in the geometric error model, as in `ltsim effects`."""
@@ -80,10 +80,11 @@ class ParameterEntry(Entry):
     prior_rejected: bool = False
     """True if the readings contradict the prior, so that the estimate follows the readings."""
     applied_value: OptionalFloat = None
-    """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. It is smaller
-    if points are then expected to be better, and the prior mean for a parameter that the readings hardly determine."""
+    """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. A smaller
+    value than `value` is applied if it is expected to make points more accurate. For a parameter that the readings
+    hardly determine, the prior mean is applied."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
     @property
     def variance_reduction(self) -> float:
@@ -92,14 +93,14 @@ class ParameterEntry(Entry):
 
 
 class HarmonicEntry(Entry):
-    """Amplitude and phase of a pair of a cosine and a sine coefficient; no phase for an insignificant amplitude."""
+    """Amplitude and phase of a harmonic from its cosine and sine; the phase is null for an insignificant amplitude."""
 
     name: str
-    """Name of the harmonic."""
+    """Name of the harmonic: the common part of the names of both parameters."""
     amplitude: Finite
     """Amplitude of the harmonic, in `unit`."""
     sigma: Sigma
-    """Standard deviation of the amplitude."""
+    """Standard deviation of the amplitude, in `unit`."""
     unit: str
     """Unit of the amplitude and of its standard deviation."""
     phase_deg: OptionalFloat = None
@@ -107,16 +108,16 @@ class HarmonicEntry(Entry):
     sigma_phase_deg: OptionalFloat = None
     """Standard deviation of the phase [deg]."""
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single unnamed instrument."""
 
 
 class StationPose(Entry):
-    """Position of a station [mm] and rotation from instrument to network as a quaternion x y z w."""
+    """Adjusted pose of a station: position [mm], and rotation from instrument to network as a quaternion x y z w."""
 
     name: str
     """Name of the station."""
     position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat]
-    """Position in the frame of the network; the height is null if the station was adjusted in plan only."""
+    """Position [mm] in the frame of the network; the height is null if the station was adjusted in plan only."""
     rotation_quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """Rotation from instrument to network, as a quaternion x y z w."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
@@ -149,9 +150,10 @@ class AxesEntry(Entry):
     """Standard deviations of a frame that declared target coordinates define, from residuals of these coordinates."""
 
     target_names: tuple[str, ...]
-    """Names of the targets whose coordinates define the axes."""
+    """Names of the targets whose coordinates define the frame."""
     sigma_position_mm: Vector
-    """Standard deviation of the frame's translation along x, y and z [mm], at the centroid of its defining targets."""
+    """Standard deviation of the frame's translation along x, y and z [mm], at the centroid of the targets that
+    define it."""
     sigma_rotation_arcsec: Vector
     """Standard deviation of the rotation of the frame about x, y and z [arcsec]; 0 for rotations fixed by levels."""
 
@@ -170,34 +172,35 @@ class OutlierRow(Entry):
     size: Finite
     """Estimated gross error of the reading, in `unit`."""
     unit: str
-    """Unit of the size."""
+    """Unit of `size`."""
     w: Finite
     """Normalised residual (statistic of the w-test)."""
     p_value: OptionalFloat = None
     """p-value of the w-test, or of the tau-test if the noise is estimated, corrected for the number of readings. Null
     for excluded readings."""
     pointing_excluded: bool = False
-    """True if the whole pointing was excluded, of which this is the reading with the largest residual."""
+    """True if the whole pointing was excluded; this is then its reading with the largest residual."""
     excluded: bool = False
     """True if the reading was excluded from the adjustment."""
 
 
 class ReferenceValueEntry(Entry):
-    """Component of a reference value, tested against all other observations like a reading.
+    """Component of a reference value (coordinate, length, level), tested against all other observations like a reading.
 
     Coordinates that define only the axes have the kind `axes`.
     """
 
     kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-    """Kind of reference value."""
+    """Kind of reference value, such as `point` or `length`."""
     name: str
-    """Name of the target or station, both ends of a length or difference, or observations whose scale is tested."""
+    """Name of the target or station, of both ends of a length or difference, or of the observations whose scale is
+    tested."""
     component: str = ""
     """Component x, y or z of a point or difference; x and y for the two tilts of a level."""
     residual: Finite
-    """Declared minus adjusted value."""
+    """Declared minus adjusted value, in `unit`."""
     error: Finite
-    """Error of the declared value, estimated from all other observations."""
+    """Error of the declared value, estimated from all other observations, in `unit`."""
     sigma_error: OptionalFloat = None
     """Standard deviation of the estimated error; null without redundancy."""
     minimal_detectable_error: OptionalFloat = None
@@ -207,7 +210,7 @@ class ReferenceValueEntry(Entry):
     redundancy: Finite
     """Redundancy number: fraction of an error of the declared value that appears in its residual."""
     w: Finite
-    """Test statistic: square root of the decrease of chi-square if the whole reference value is left out."""
+    """Statistic of the w-test: square root of the decrease of chi-square if the whole reference value is left out."""
     excluded: bool = False
     """True if the value contradicts all other observations and was excluded from the adjustment."""
 
@@ -215,7 +218,7 @@ class ReferenceValueEntry(Entry):
 class NoiseRow(Entry):
     """Noise of a group of readings, estimated from their residuals.
 
-    Without `factor_sigma` the redundancy was too small for an estimate, and the factor is 1.
+    If `factor_sigma` is null, the redundancy was too small for an estimate, and the factor is 1.
     """
 
     observable: str
@@ -223,11 +226,11 @@ class NoiseRow(Entry):
     instrument: str = ""
     """Name of the instrument; empty if all instruments are one group."""
     factor: Finite
-    """Estimated standard deviations of the readings divided by the declared ones."""
+    """Ratio of the estimated to the declared standard deviations of the readings."""
     factor_sigma: OptionalFloat = None
     """Standard deviation of the factor."""
     redundancy: Finite
-    """Sum of the redundancy numbers of the group's readings."""
+    """Sum of the redundancy numbers of the readings of the group."""
     median_sigma: Finite
     """Median of the estimated standard deviations of the readings."""
     unit: str = ""
@@ -235,85 +238,89 @@ class NoiseRow(Entry):
 
 
 class VerdictEntry(Entry):
-    """Verdict on which test to trust, if the tests of a fit disagree."""
+    """Verdict on the test to trust (global test or estimated sigma0), if the tests of a fit disagree."""
 
     case: str = ""
     """Short text on the agreement or disagreement of the tests."""
     sentence: str = ""
-    """Sentence with the verdict."""
+    """Sentence for users with the verdict."""
     is_sigma0_credible: bool = False
     """True if the estimated sigma0 is more credible than the declared noise."""
 
     @classmethod
     def from_verdict(cls, verdict: Verdict) -> Self:
-        """Entry of the file for a verdict."""
+        """Entry of the result file for a verdict."""
         return cls(case=verdict.case.value, sentence=verdict.sentence, is_sigma0_credible=verdict.uses_estimated_noise)
 
 
 class RecommendedCorrection(Entry):
-    """Recommended correction of readings, and the expected error of new points with this correction."""
+    """Recommended correction of readings, and expected error of new points with and without this correction."""
 
     prior_scale: Positive
-    """Most likely size of the parameters, relative to their prior standard deviations."""
+    """Most likely size of the parameters relative to their prior standard deviations."""
     prior_scale_limits: tuple[Positive, Positive]
     """Lower and upper limit of `prior_scale`, each with a one-sided confidence of 95 %."""
     uncorrected_error_um: NotNegative
-    """Expected rms error [um] of an uncorrected point in its set-up's frame, from the instrument's constants alone."""
+    """Expected rms error [um] of an uncorrected point in the frame of its set-up, due to errors of the instrument
+    constants only."""
     corrected_error_um: NotNegative
-    """Expected rms error [um] of a corrected point, from the instrument's constants alone."""
+    """Expected rms error [um] of a corrected point in the frame of its set-up, due to errors of the instrument
+    constants only."""
     noise_error_um: NotNegative = 0.0
-    """Rms 3D error [um] of a new point from the noise of its reading."""
+    """Expected rms 3D error [um] of a new point due to the noise of its readings."""
     unapplied_parameters: tuple[str, ...] = ()
-    """Names of parameters that are not applied, because held-out targets are predicted better without them."""
+    """Names of the parameters that are not applied, because held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()
-    """Sentences on the correction."""
+    """Sentences for users on the correction."""
 
     @property
     def uncorrected_and_corrected_point_error_um(self) -> tuple[float, float]:
-        """Expected 3D error [um] of a new point without and with the correction, with the noise of its reading."""
+        """Expected 3D error [um] of a new point without and with correction, including the noise of its readings."""
         noise = self.noise_error_um
         return math.hypot(self.uncorrected_error_um, noise), math.hypot(self.corrected_error_um, noise)
 
     @property
     def point_error_text(self) -> str:
-        """Text of the error of a new point without and with the correction."""
+        """Text for users with the expected error of a new point without and with correction."""
         before, after = (number_text(error, 3) for error in self.uncorrected_and_corrected_point_error_um)
         noise = f"{number_text(self.noise_error_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 
 class FittedParameterEntry(Entry):
-    """Number or text that describes an estimated effect: parameter, shape constant, or size of an empirical law."""
+    """Number or text that describes an estimated effect: a parameter, shape parameter, or size of an empirical law."""
 
     name: str
-    """Name as in `ltsim effects`; for an empirical law `amplitude`, `phase` or another name as in a diagnosis."""
+    """Name of the parameter as in `ltsim effects`; for an empirical law the name of a size, such as `amplitude` or
+    `phase`."""
     value: Finite | str
-    """Value in `unit`; a text for a shape constant whose values are names."""
+    """Value in `unit`; a text for a shape parameter whose values are names."""
     sigma: Sigma = None
-    """Standard deviation of the value; null for a fixed shape constant."""
+    """Standard deviation of the value; null for a fixed shape parameter."""
     unit: str
-    """Unit of value and sigma."""
+    """Unit of value and standard deviation."""
 
 
 class FittedEffectEntry(Entry):
     """Effect or empirical law that was estimated with the calibration because the user requested it."""
 
     effect: str
-    """Name as in `ltsim effects`; for an empirical law its text, as in `elevation ~ time`."""
+    """Name of the effect as in `ltsim effects`; for an empirical law its text, such as `elevation ~ time`."""
     place_text: str = ""
-    """Stations and targets at which the effect acts; empty for all."""
+    """Stations and targets where the effect acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
-    """Parameters and shape constants of the effect."""
+    """Parameters and shape parameters of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square by the effect."""
     n_distinguishable_parameters: int
     """Number of the effect's parameters that the recording distinguishes from all other unknowns."""
     n_candidates: int
-    """Number of tested combinations of stations, targets and shape constants, from which this one was selected."""
+    """Number of tested combinations of stations, targets and shape parameters, from which this combination was
+    selected."""
 
     @property
     def p_value(self) -> float:
-        """Probability of a decrease by at least `chi2_drop` without the effect, corrected for `n_candidates`."""
+        """Probability of a decrease of at least `chi2_drop` without the effect, corrected for `n_candidates`."""
         return (
             min(1.0, self.n_candidates * float(special.chdtrc(self.n_distinguishable_parameters, self.chi2_drop)))
             if self.n_distinguishable_parameters
@@ -322,7 +329,7 @@ class FittedEffectEntry(Entry):
 
     @property
     def sentence(self) -> str:
-        """Sentence with the estimated size of the effect and its significance."""
+        """Sentence for users with the estimated size of the effect and its significance."""
         name = self.effect + (f" at {self.place_text}" if self.place_text else "")
         if not self.n_distinguishable_parameters:
             return f"{name}: not estimated, because the readings do not separate it from poses, targets and parameters"
@@ -336,12 +343,12 @@ class FittedEffectEntry(Entry):
 
 
 class ReflectorEntry(Entry):
-    """Incidence error of a reflector in fixed nests, estimated with the network."""
+    """Incidence error (range error by angle of incidence) of a reflector in fixed nests, estimated with the network."""
 
     reflector: str = ""
     """Name of the reflector; empty if the recording names none."""
     parameters: tuple[FittedParameterEntry, ...]
-    """Parameters of the effect `smr-incidence`."""
+    """Parameters of the reflector's incidence error, as in the effect `smr-incidence`."""
 
 
 PARAMETERS_TABLE = Table(

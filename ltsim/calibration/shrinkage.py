@@ -1,15 +1,15 @@
-"""Shrinkage of the correction: parameters to apply to readings, so that new points are not expected to become worse.
+"""Shrinkage of a correction: parameters to apply to readings, so that new points are not expected to become worse.
 
-The estimates and their covariance belong to the declared prior. The applied values may be smaller:
+The estimates and their covariance belong to the declared prior. The applied values may be smaller than the estimates:
 
 * a parameter that the readings do not determine keeps the mean of its prior, usually 0;
 * a parameter is not applied if the readings of targets are predicted better without it (`HeldOutTarget`);
 * if the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * if the correction is expected to do harm under a plausible scale, the smallest plausible scale is used.
 
-Let u be the parameters in prior standard deviations, N the information of the readings, and b = N times the estimate
-from the readings alone. Under a prior of s times the declared standard deviations, b is normal with covariance N + s^2
-N N. Its likelihood does not depend on poses and targets and is the restricted likelihood of s (Patterson and Thompson,
+Let u be the parameters in prior standard deviations, N the information matrix of the readings, and b = N times the
+estimate from the readings alone. If the prior is scaled by s, b is normal with the covariance N + s^2 N N. Its
+likelihood does not depend on poses and targets and is the restricted likelihood of s (Patterson and Thompson,
 Biometrika 58 (1971) 545). With a prior from earlier calibrations, u is the deviation from the mean of the prior.
 Without a prior the scale is always estimated, and each combination of parameters is shrunk by the factor with the
 smallest expected error.
@@ -36,27 +36,23 @@ from ltsim.physics.effects import parameter_text
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
-PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
-"""Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
+CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
+"""Scales of the prior (factors on the declared standard deviations) that are tested, in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, above which the declared
-scale is rejected (likelihood ratio test)."""
+"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which this is rejected."""
 MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Largest difference between the log-likelihood of the most likely scale of the prior and that of another scale at
-which the other scale counts as plausible."""
+"""Log-likelihood ratio of the most likely scale of the prior to another scale, up to which the other scale counts as
+plausible."""
 MAX_PRIOR_SCALE = 30.0
-"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
-another cause."""
+"""Largest plausible scale of the prior. A misfit that needs a larger one has another cause than the instrument."""
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
-"""Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
+"""Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals above which a parameter is not applied; 2 is Akaike's penalty for
-one parameter."""
+"""Decrease of the sum of squared held-out residuals without a parameter (2: Akaike) above which it is not applied."""
 MAX_DENSE_UNKNOWNS = 500
-"""Largest number of unknowns for which a dense inverse or an orthonormal basis is computed, because of processor time;
-it limits the prediction of held-out targets and the Gram matrices of simulated recordings."""
+"""Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets with predicted readings at which parameters are tested for application."""
+"""Smallest number of held-out targets for which it is tested whether they are predicted better without a parameter."""
 
 
 def recommend_correction(
@@ -122,7 +118,7 @@ def recommend_correction(
 
 
 class ScaledPrior:
-    """Likelihood of the scale of a prior, and the parameters estimated under each scale.
+    """Likelihood of the scale of a prior (factor on its standard deviations), and the parameters estimated with it.
 
     Parameters
     ----------
@@ -150,7 +146,7 @@ class ScaledPrior:
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
-        self._scales = PRIOR_SCALES[0.99 * min_scale < PRIOR_SCALES]
+        self._scales = CANDIDATE_PRIOR_SCALES[0.99 * min_scale < CANDIDATE_PRIOR_SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
         gain = self._scales[:, None] ** 2 * self._information_vector**2 / ratio
         self._log_likelihoods = 0.5 * np.sum(gain - np.log(ratio), axis=1)
@@ -158,12 +154,12 @@ class ScaledPrior:
 
     @property
     def most_likely_scale(self) -> float:
-        """Scale of the prior with the largest likelihood."""
+        """Scale of the prior (factor on the declared standard deviations) with the largest likelihood."""
         return float(self._scales[self._best_index])
 
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
-        """Smallest and largest plausible scale of the prior."""
+        """Smallest and largest plausible scale of the prior (factor on the declared standard deviations)."""
         near_indices = np.flatnonzero(
             self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO
         )
@@ -171,7 +167,7 @@ class ScaledPrior:
 
     @property
     def rejects_declared_scale(self) -> bool:
-        """True if the readings reject the declared scale of the prior."""
+        """True if the readings reject the declared standard deviations of the prior (scale 1)."""
         nominal_index = int(np.argmin(np.abs(np.log(self._scales))))
         return bool(
             self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal_index]
@@ -186,7 +182,7 @@ class ScaledPrior:
 
     @property
     def scale_of_applied_values(self) -> float:
-        """Scale of the prior for the applied parameters: 1, unless the scale 1 is rejected or there is no prior."""
+        """Scale of the prior for the applied parameters: 1, unless this scale is rejected or there is no prior."""
         return (
             self.most_likely_scale
             if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_scale_estimated
@@ -195,30 +191,30 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence on the scale of the prior if the declared scale was rejected or the scale estimated; else empty."""
+        """Sentence for users on the scale of the prior; empty unless it was estimated or the scale 1 rejected."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
         factor, limits = f"{self.most_likely_scale:.2g} times", f"({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
-            why, cause = ", which no instrument has", "another cause explains the misfit"
+            why, cause = ", which no instrument has", "another cause must explain the misfit"
             if self.most_likely_scale <= MAX_PRIOR_SCALE:
                 why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
-            need = f"the readings require parameters {factor} the declared priors"
-            return f"{need}{why}: {cause}; no correction is applied"
+            need = f"the readings require parameters {factor} as large as the declared prior"
+            return f"{need}{why}; no correction is applied, because {cause}"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors: the correction uses sigmas {factor} as large {limits}"
+            return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half"
-        return f"without a prior, sigmas {factor} as large as the usual ones are most likely {limits}; {phrase}"
+        phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
+        return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
 
-    def estimate(self, prior_scale: float) -> Floats:
-        """Estimate (parameters,) in prior sigmas, if all priors are `prior_scale` times as wide as declared."""
+    def estimate_at_scale(self, prior_scale: float) -> Floats:
+        """Estimate (parameters,) in prior sigmas for a prior whose sigmas are `prior_scale` times the declared ones."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_matrix: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Parameters to apply (parameters,), shrunk towards the prior mean where necessary, and a sentence on this.
+        """Parameters to apply (parameters,), shrunk towards the prior mean where necessary, and a sentence for users.
 
         The mean square error of a new point is the quadratic form `point_error_matrix` (parameters, parameters) of the
         errors of the parameters. `prior_mean` (parameters,) is the mean of the prior.
@@ -226,23 +222,25 @@ class ScaledPrior:
         if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
         full, cautious = (
-            prior_mean + self.estimate(self.scale_of_applied_values),
-            prior_mean + self.estimate(self.plausible_scale_limits[0]),
+            prior_mean + self.estimate_at_scale(self.scale_of_applied_values),
+            prior_mean + self.estimate_at_scale(self.plausible_scale_limits[0]),
         )
         if full @ point_error_matrix @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
         share = float(np.sqrt((cautious @ point_error_matrix @ cautious) / (full @ point_error_matrix @ full)))
         if share < MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO:
-            return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
-        limit = "more is likely to increase the errors of new points"
-        return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
+            return np.zeros_like(
+                full
+            ), "no correction is applied, because it would probably increase the errors of new points"
+        limit = "more would probably increase the errors of new points"
+        return cautious, f"only {100 * share:.0f} % of the correction is applied, because {limit}"
 
     def point_errors(
         self, point_error_matrix: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
-        """Expected rms error [m] of a new point by instrument errors, uncorrected and with the applied parameters."""
+        """Expected rms errors [m] of a new point due to instrument errors: uncorrected, and with the applied values."""
         scale = self.scale_of_applied_values
-        posterior_mean = prior_mean + self.estimate(scale)
+        posterior_mean = prior_mean + self.estimate_at_scale(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         remaining_variance = float(np.sum(spread * point_error_matrix))
         bias = posterior_mean - applied_values
@@ -252,7 +250,7 @@ class ScaledPrior:
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
-    """Rms error [m] of measured points by noise with standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
+    """Rms error [m] of measured points due to noise with standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
     is_complete = recording.is_measured.all(axis=1)
     if not is_complete.any():
         return 0.0
@@ -286,7 +284,7 @@ def point_error_matrix(adjustment: Adjustment) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOutTarget:
-    """Prediction of the readings of one target from all other targets.
+    """Prediction of the readings of one target from the readings of all other targets.
 
     Let r (rows,) be the residuals of the target's observations and A (rows, unknowns) their design matrix by poses and
     parameters, both after elimination of the coordinates of the target. With the covariance C of poses and parameters
@@ -295,16 +293,16 @@ class HeldOutTarget:
     """
 
     held_out_residual: Floats
-    """Differences of the target's observations from their prediction by all other targets, whitened, shape (rows,)."""
+    """Observations of the target minus their prediction from all other targets, whitened, shape (rows,)."""
     residual_parameter_cross_covariance: Floats
     """Covariance of the held-out residuals with the instrument parameters, shape (rows, parameters)."""
     parameter_covariance: Floats
-    """Covariance of the instrument parameters, estimated without this target, shape (parameters, parameters)."""
+    """Covariance of the instrument parameters estimated without this target, shape (parameters, parameters)."""
     estimate_shift: Floats
     """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,)."""
 
     def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
-        """Sum of squared held-out residuals if the parameters `fixed_indices` are zero.
+        """Sum of squared held-out residuals if the parameters with the indices `fixed_indices` are zero.
 
         `parameters` (parameters,) are the estimates from all readings.
         """
@@ -319,7 +317,7 @@ class HeldOutTarget:
 
 
 def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
-    """Indices, among the parameters of all instruments, of those without which held-out targets are predicted better.
+    """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
 
     Parameters are dropped one after the other, beginning with the one that degrades the predictions most. None is
     dropped in a large network, or in a network with few targets. `noise_factor` multiplies the noise of the readings.
@@ -346,7 +344,7 @@ def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Int
 
 
 def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
-    """Indices of each estimated parameter with information; a cosine and its sine form one group."""
+    """Indices of each estimated parameter about which the readings have information; cosine and sine form one group."""
     prior, open_ = adjustment.problem.prior, informative_parameter_mask(adjustment)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
     term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
@@ -356,7 +354,7 @@ def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Predictions of every target that has redundant readings and whose coordinates were eliminated.
+    """Predictions of every target that has redundant readings and whose coordinates can be eliminated.
 
     The declared coordinates of a target are held out with its readings and predicted too.
     """
@@ -384,13 +382,13 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design and residuals (rows,) after elimination of the coordinates that have `target_design` (rows, 3)."""
+    """Design matrix and residuals (rows,) after elimination of coordinates with the design `target_design`."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
-    """Prediction of a target's observations, from design and residuals after elimination of its coordinates."""
+    """Prediction of a target's observations, from design matrix and residuals after elimination of its coordinates."""
     covariance, at = adjustment.retained_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)

@@ -1,4 +1,4 @@
-"""Sentences on the errors that the standard deviations of a calibration include or do not include."""
+"""Entries and sentences on the errors that the standard deviations of a calibration do or do not include."""
 
 from typing import Protocol
 
@@ -7,33 +7,34 @@ from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
 class HiddenError(Entry):
-    """Error that does not change the readings, so that no standard deviation includes it."""
+    """Error that moves the targets without changing the readings, so that no standard deviation includes it."""
 
     error_text: str
-    """Text that names the error and its size."""
+    """Text for users that names the error and its size."""
     rms_target_error_um: NotNegative
-    """Rms displacement [um] of the targets by this error, after the best rigid fit."""
+    """Rms displacement [um] of the targets by the error, after the best rigid fit."""
 
 
 class UncertaintyEntry(Entry):
-    """Errors that the standard deviations of a result include or do not include."""
+    """Errors that the standard deviations of a result do or do not include."""
 
     noise_text: str = ""
-    """Text on the standard deviations of the readings in the fit and where they are from."""
+    """Text for users on the standard deviations of the readings in the fit, and on their source."""
     constants_included: bool = True
-    """True if the instrument constants were estimated, or the set-up declares the instrument corrected."""
+    """True if the instrument constants were estimated, or the set-up declares the instrument corrected, so that the
+    standard deviations include them."""
     uncertainty_factor: Positive = 1.0
-    """Factor in all standard deviations and in the square root of all covariances: sigma0 if the readings contradict
-    the model, otherwise 1."""
+    """Factor that all standard deviations contain: sigma0 if the readings contradict the model, otherwise 1."""
     air_text: str = ""
-    """Text on the errors of the air that the standard deviations of targets and stations include; empty for short
-    ranges."""
+    """Text for users on the errors of the air that the standard deviations of targets and stations include; empty
+    for short ranges."""
     hidden_errors: tuple[HiddenError, ...] = ()
-    """Noticeable errors that do not change the readings, the largest first; no standard deviation includes them."""
+    """Errors that move the targets noticeably without changing the readings, the largest first. No standard
+    deviation includes them."""
 
 
 class ReportedUncertainty(Protocol):
-    """Interface of a result with the errors that its standard deviations include."""
+    """Interface of a result that states which errors its standard deviations include (see `UncertaintyEntry`)."""
 
     @property
     def noise_text(self) -> str: ...  # noqa: D102
@@ -48,18 +49,18 @@ class ReportedUncertainty(Protocol):
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
-    """Sentences on the standard deviations of a result: noise, factor, errors that they include or do not include."""
+    """Sentences for users on the standard deviations of a result: noise, factor, errors that they do not include."""
     sentences = [f"Noise of the readings (one sigma): {result.noise_text}."] if result.noise_text else []
     if result.uncertainty_factor > 1.0:
-        model = "the model" if result.constants_included else "the model without the instrument's constants"
+        model = "the model" if result.constants_included else "the model without instrument constants"
         sentences.append(
             f"The readings contradict {model}: all standard deviations are multiplied by sigma0 = "
             f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
-            "The standard deviations do not include errors of the instrument: its constants were not estimated. Use "
-            "ltsim calibrate, or declare the instrument corrected."
+            "The standard deviations do not include errors of the instrument, because the instrument constants were "
+            "not estimated. Use ltsim calibrate, or declare the instrument corrected."
         )
     if result.air_text:
         sentences.append(
@@ -72,7 +73,7 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
             for error in result.hidden_errors
         )
         sentences.append(
-            f"The readings do not show the following errors of the targets, and the standard deviations do not include "
-            f"them: {sizes}."
+            f"The following errors displace the targets without changing the readings, and the standard deviations do "
+            f"not include them: {sizes}."
         )
     return sentences

@@ -1,4 +1,4 @@
-"""Entries of a calibration for combinations of parameters that the readings do not determine."""
+"""Entries of a calibration result for combinations of parameters that the readings do not determine."""
 
 from collections.abc import Sequence
 
@@ -20,9 +20,10 @@ def undetermined_entries(
     recommend_measurements: bool,
     suspect_targets: Sequence[str] = (),
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of undetermined combinations by instrument, on request with measurements that would determine these.
+    """Entries of the undetermined combinations of all instruments.
 
-    Proposed lengths do not end at `suspect_targets`.
+    With `recommend_measurements` the entries name measurements that would determine the combinations. Proposed lengths
+    do not end at `suspect_targets`.
     """
     instruments = adjustment.recording.instruments
     measurements = [[MeasurementForCombination()] * len(group) for group in undetermined_by_instrument]

@@ -16,12 +16,12 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.correct import incidence_reading_changes
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD, calibrate_distance
-from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, load_calibration, read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
+from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.core.arguments import check_choice, check_mapping
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text
 from ltsim.physics.effects.effect import Effect
@@ -31,8 +31,8 @@ from ltsim.physics.model.construction import GeometricErrorModel, make_construct
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
-NO_PRIOR_OPTION = "none"
-"""Value of the option `prior` that requests a calibration without prior information."""
+NO_PRIOR_OPTION_VALUE = "none"
+"""Value of the option `prior` for a calibration without prior information."""
 
 
 def calibrate(
@@ -53,7 +53,7 @@ def calibrate(
     with_effects: str | Effect | Sequence[str | Effect] = (),
     advise: bool = True,
 ) -> Calibration:
-    """Instrument parameters from a recording, with uncertainties and undetermined combinations.
+    """Calibration of the instruments of a recording: parameters, uncertainties and undetermined combinations.
 
     Parameters
     ----------
@@ -79,14 +79,14 @@ def calibrate(
         Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With `none` there
         is no prior, and the readings alone determine the shrinkage of the correction. For method `network` only.
     harmonics : int, optional
-        Order of the joint errors of a D-H chain, 0 to 4; default 2.
+        Order of the harmonics in the errors of the axes of a D-H chain, 0 to 4; default 2.
     degree : int, optional
-        Degree of the range errors of a D-H chain, 0 to 9; default 2.
+        Degree of the polynomials in the errors of the range axis of a D-H chain, 0 to 9; default 2.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and
-        constants such as `law=visit` in the effect's units; the readings determine all other constants. Laws have the
+        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and shape
+        parameters such as `law=visit` in the effect's units; the readings determine those not given. Laws have the
         form that a diagnosis reports, `vertical index ~ time:S3`. Several can be given. For method `network` only.
     advise : bool
         True to report the further measurements that would determine the undetermined combinations.
@@ -118,7 +118,7 @@ def calibrate(
         built: GeometricErrorModel | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
+    has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION_VALUE
     earlier_calibration_prior = None if prior is None or has_no_prior else EarlierCalibrationPrior.from_source(prior)
     parameter_names = None if parameters is None else name_tuple(parameters)
     choice = ParameterSelection(
@@ -131,14 +131,14 @@ def calibrate(
         raise ModelError(f"{option_text('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = load_recording(recording)
     if method == "network":
-        extra_effects = [parse_requested_effect(asked, source) for asked in effects]
+        requested_effects = [parse_requested_effect(asked, source) for asked in effects]
         return with_reported_uncertainty(
             calibrate_network(
                 source,
                 built,
                 recommend_measurements=advise,
                 parameter_selection=choice,
-                extra_effects=extra_effects,
+                requested_effects=requested_effects,
                 **options,
             )
         )
@@ -155,7 +155,7 @@ def calibrate(
 
 
 def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
-    """Requested effect, given as an effect or as its text. Fields left at their defaults are chosen from the readings.
+    """Requested effect from an effect or its text; fields with their default value are determined from the readings.
 
     Raises ModelError for an effect with a size, because its size is estimated.
     """
@@ -171,7 +171,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from the text `NAME` or `NAME:WHERE,...` with stations, targets and constants, or from a law."""
+    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets, shape parameters, or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -187,9 +187,11 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             places["stations" if item in recording.stations else "targets"] += (item,)
         else:
             listed = ", ".join(recording.stations)
-            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
+            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or NAME=VALUE")
     if is_law and constants:
-        raise ModelError(f"'{text}': the constants of a law belong in its text and cannot be given separately")
+        raise ModelError(
+            f"'{text}': the shape parameters of a law belong in the text of the law and cannot be given separately"
+        )
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed_names = {kind for kind, named in places.items() if named} | set(constants)
@@ -197,7 +199,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
-    """Instrument model with the given name; None for the model declared in the set-up."""
+    """Geometric error model with the given name; None for the model that the set-up declares."""
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -240,7 +242,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
-    """Errors of another recording relative to nominal points, before and after a calibration (eq. 13, 14).
+    """Errors of another recording relative to nominal points, before and after a calibration.
 
     Parameters
     ----------
@@ -313,7 +315,7 @@ def history(
 def _load_labelled(
     label: str, source: RecordingSource | Calibration, options: dict[str, Any]
 ) -> tuple[str, Calibration]:
-    """Label and calibration of a source; the label of a file is its name."""
+    """Label and calibration of a source; the label of a file is the name of the file."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

@@ -103,7 +103,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         A step contains only the estimated combinations of parameters.
         """
         rows, determined = self._mean_deviation_comparisons, self._estimated_combinations
-        normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
+        normal = rows.derivatives_by_unknowns.T @ rows.derivatives_by_unknowns
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
@@ -251,7 +251,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
-        by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
+        by_gauge = rows.derivatives_by_noise[:, rows.derivatives_by_noise.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
     def _fit_corrected_readings(self, trial_batch: TrialBatch, parameter_values: Floats) -> BatchFit:

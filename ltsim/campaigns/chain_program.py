@@ -55,7 +55,7 @@ class ChainProgram(NamedTuple):
     @classmethod
     def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
         """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
-        error_keys = [term.chain_error for term in construction.terms]
+        error_keys = [term.chain_error_key for term in construction.terms]
         parameters_by_error_key = {
             m.error_key: [k for k, key in enumerate(error_keys) if key == m.error_key]
             for m in construction.kinematic_chain

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.extra_effects import RequestedEffect
+from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
@@ -249,7 +249,11 @@ def _drawn_effect(
         text, sizes = _split_parameter_values(cause)
         requested_effect = parse_requested_effect(text, injector.recording)
     else:
-        given, sizes = (cause.effect, dict(cause.display_values)) if isinstance(cause, SizedEffect) else (cause, {})
+        given, sizes = (
+            (cause.effect, dict(cause.parameter_values_in_display_units))
+            if isinstance(cause, SizedEffect)
+            else (cause, {})
+        )
         requested_effect = (
             parse_requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
         )

@@ -254,7 +254,7 @@ class NominalNetwork:
     @cached_property
     def _additional_parameter_design(self) -> Floats:
         """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
-        if not self.model.extra_effects:
+        if not self.model.effects_and_nuisance_errors:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._sightings_in_floor_plan_frame)
 

@@ -277,9 +277,9 @@ def recover(
         jobs = 1
     effects = effect_tuple(with_effects)
     example = simulate(scenario, seed=seed).recording if effects else None
-    extra_effects = tuple(parse_requested_effect(text, example) for text in effects if example is not None)
+    requested_effects = tuple(parse_requested_effect(text, example) for text in effects if example is not None)
     model = true_construction if construction is None else construction_called(construction)
-    settings = RecoverySettings(method, model, extra_effects, calibrator, mode)
+    settings = RecoverySettings(method, model, requested_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
     with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:

@@ -9,8 +9,8 @@ from scipy import stats
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, run_external_calibrator
 from ltsim.campaigns.recovery_checks import (
     MIN_RECOVERY_TRIALS,
@@ -116,7 +116,7 @@ class RecoverySettings:
 
     method: str = "network"
     construction: GeometricErrorModel | None = None
-    extra_effects: tuple[RequestedEffect, ...] = ()
+    requested_effects: tuple[RequestedEffect, ...] = ()
     calibrator: ExternalCalibrator | None = None
     error_origin: ErrorOrigin = "drawn"
     """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
@@ -180,7 +180,7 @@ def calibrate_by_settings(
             construction,
             recommend_measurements=False,
             choose_correction=False,
-            extra_effects=settings.extra_effects,
+            requested_effects=settings.requested_effects,
         )
     return calibrate_distance(recording, construction, method=settings.method, advise=False)
 

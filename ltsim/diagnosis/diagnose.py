@@ -61,7 +61,7 @@ from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.responses import VARIED_CONSTANTS_BY_RESPONSE, constant_names_of_chain_error
+from ltsim.physics.laws.responses import INSTRUMENT_CONSTANTS_BY_RESPONSE, instrument_constants_of_chain_error
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -213,8 +213,8 @@ def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if one of the effects lets the instrument constant `constant_name` (a name) vary during the recording."""
-    laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
-    drifts = (constant_names_of_chain_error(getattr(e, "chain_error", "")) for e in effects)
+    laws = (INSTRUMENT_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
+    drifts = (instrument_constants_of_chain_error(getattr(e, "chain_error_key", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
     return any(constant_name in varied for varied in (*laws, *drifts, *parameters))
 

@@ -227,5 +227,7 @@ class Diagnosis(ResultFile):
         shifts readings, the result is the number of parameters of the findings.
         """
         model = self.final_adjustment.problem.model
-        ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)
+        ratios = sum(
+            len(e.component_ratio) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.component_ratio
+        )
         return model.n_effect_parameters + ratios or sum(len(finding.parameters) for finding in self.findings)

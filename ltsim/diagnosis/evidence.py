@@ -25,7 +25,7 @@ from scipy.special import log_ndtr
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import (
-    LOG_EFFECT_SIZE_PRIOR,
+    LOG_PRIOR_OF_EFFECT_SIZES,
     RELATIVE_EFFECT_SIZES,
     log_evidence,
     log_evidence_by_size,
@@ -128,7 +128,7 @@ def log_restricted_likelihood(adjustment: Adjustment) -> float:
     _, log_determinant = np.linalg.slogdet(to_dense(normal_matrix))
     log_sigmas = float(np.log(problem.sigma[problem.is_used_reading]).sum())
     for errors in problem.model.centring_errors:
-        log_sigmas += len(errors.parameters) * float(np.log(errors.sigma))
+        log_sigmas += len(errors.parameters) * float(np.log(errors.displacement_sigma))
     return -0.5 * (solution.sum_of_squares + float(log_determinant)) - log_sigmas
 
 
@@ -191,7 +191,7 @@ def coefficient_posterior(
     score: Floats,
     plausible_sizes: Floats,
     size_factors: Floats = RELATIVE_EFFECT_SIZES,
-    log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR,
+    log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 

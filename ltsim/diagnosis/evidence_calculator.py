@@ -161,7 +161,7 @@ class EvidenceCalculator:
             name = effect.response.name
             if name not in response_changes:
                 response_changes[name] = self._response_changes(name)[affected_rows.row_indices]
-            moved = effect.change_by_shared_coefficient(
+            moved = effect.change_by_common_coefficient(
                 response_changes[name], self.space.sightings, affected_rows.pointing_indices
             )
             columns = effect.columns(self.space.sightings)[affected_rows.pointing_indices]

@@ -39,7 +39,7 @@ from ltsim.diagnosis.sentences import (
     law_sentence,
 )
 from ltsim.physics.effects.effect import ChainErrorEffect, Effect
-from ltsim.physics.effects.linear_effect import CandidateEffect, n_parameters_and_constants
+from ltsim.physics.effects.linear_effect import CandidateEffect, n_parameters_and_shape_parameters
 from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -146,7 +146,7 @@ class SelectedModelFit:
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
         is_significant = isinstance(
             effect, EmpiricalLaw
-        ) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_parameters_and_constants(effect)
+        ) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_parameters_and_shape_parameters(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
         p_same_scope = self.p_same_scope[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))

@@ -26,7 +26,7 @@ from ltsim.diagnosis.switches import (
     n_tried_waves_of_same_covariate,
     switched_forms,
 )
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
@@ -138,14 +138,14 @@ def _functional_forms(
         spreads = np.stack([scaled.plausible_sizes for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
         candidates.append((share, scales[index_of_largest(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
+    return [Hypothesis(best, share, value + share, equivalent_effect_name(best)) for share, best, value in candidates]
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
     """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
-    if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.direction:
+    if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.component_ratio:
         return [form]
     gram, score = calculator.grams_and_scores([law], conditioning_model)[0]
     ratio, evidence, log_share = best_component_ratio(gram, score, law.plausible_sizes, law.n_setup_components)
@@ -155,7 +155,7 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(
             form,
-            effect=replace(law, direction=ratio),
+            effect=replace(law, component_ratio=ratio),
             log_prior=form.log_prior + share,
             log_evidence=form.log_evidence + gain + share,
         ),
@@ -185,7 +185,7 @@ def _forms_at_single_set_ups(
             stations=(name,),
             regressor=driver.with_field_centred_on(law.targets),
             length_scale_index=0,
-            direction=(),
+            component_ratio=(),
         )
         for driver in drivers
         for name in stations
@@ -196,7 +196,7 @@ def _forms_at_single_set_ups(
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     hypotheses = [
-        Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
+        Hypothesis(x, log_prior, float(value) + log_prior, equivalent_effect_name(x))
         for x, value in zip(laws, log_evidences, strict=True)
     ]
     with_ratios = [
@@ -249,7 +249,9 @@ def _piecewise_forms(
     )[0]
     log_prior -= n_selected * log_price
     return [
-        Hypothesis(refined, log_prior, max(best + n_selected * log_price, value) + log_prior, catalogue_name(refined))
+        Hypothesis(
+            refined, log_prior, max(best + n_selected * log_price, value) + log_prior, equivalent_effect_name(refined)
+        )
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED_PROBABILITY
-from ltsim.calibration.evidence import LOG_EFFECT_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_sum_exp
+from ltsim.calibration.evidence import LOG_PRIOR_OF_EFFECT_SIZES, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest
@@ -285,7 +285,7 @@ def _size_averaged_log_evidence(model: Model) -> float:
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         half_log_determinants = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
-        value: Floats = fit - half_log_determinants + LOG_EFFECT_SIZE_PRIOR[sizes].sum(axis=1)
+        value: Floats = fit - half_log_determinants + LOG_PRIOR_OF_EFFECT_SIZES[sizes].sum(axis=1)
         return value
 
     best, every = (

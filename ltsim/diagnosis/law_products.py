@@ -13,8 +13,8 @@ from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT, index_of_largest
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
-from ltsim.physics.laws.catalogue_names import catalogue_name
-from ltsim.physics.laws.columns import N_MODES_IN_PRODUCT
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
+from ltsim.physics.laws.columns import N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import ODDS_PER_OPERATOR
 from ltsim.physics.laws.regressors import (
@@ -75,13 +75,13 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
     if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT:
         return []
     refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
-    products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
+    products = [Hypothesis(refined, prior, value + prior, equivalent_effect_name(refined))]
     if law.regressor.kind == "switch":
         weight = next(f for f in refined.regressor.factors if f.kind != "switch")
         factor = (
             weight
             if weight.region is not None
-            else Regressor("product", factors=(smooth_regressor("time", N_MODES_IN_PRODUCT), weight))
+            else Regressor("product", factors=(smooth_regressor("time", N_PRODUCT_CURVE_MODES), weight))
         )
         alone = replace(refined, regressor=factor)
         products += switched_forms(calculator, alone, prior, conditioning_model, refines_region=False)

@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.places import (
     LawPlace,
     group_places,
@@ -34,7 +34,7 @@ from ltsim.physics.laws.regressor_library import (
     N_OPERATORS_BY_REGRESSOR_KIND,
     ODDS_PER_OPERATOR,
     candidate_regressors,
-    is_admissible,
+    is_physically_possible,
     per_setup_regressors,
     regressors_for_target_groups,
     wave_regressors,
@@ -49,8 +49,8 @@ TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
 """Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
 group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
-"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT` basis
-functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_MODES_IN_PRODUCT`."""
+"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_CURVE_MODES` basis
+functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_PRODUCT_CURVE_MODES`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
 """Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
 adjustment absorbs about half of the information of the pointings.
@@ -124,8 +124,8 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
     general_regressors = candidate_regressors(s)
     setup_regressors = (
         general_regressors
-        if median_pointings > MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE * N_MODES_DEFAULT
-        else candidate_regressors(s, N_MODES_IN_PRODUCT)
+        if median_pointings > MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE * N_CURVE_MODES
+        else candidate_regressors(s, N_PRODUCT_CURVE_MODES)
     )
     setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
@@ -215,7 +215,8 @@ class _LawBatchBuilder:
                 admissible_regressors = [
                     d
                     for d in regressors
-                    if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_tried_for(kind, d))
+                    if is_physically_possible(kind, d, self._sightings)
+                    and (name != "wave" or _is_wave_tried_for(kind, d))
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.noise_groups import NOISY_OBSERVABLE_SETS
 from ltsim.physics.laws.places import LawPlace, target_clusters
-from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGET_VALUES, varying_column_names
+from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGET_AMOUNTS, varying_column_names
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
@@ -61,7 +61,7 @@ def candidate_variance_functions(
     names = sightings.target_names
     target_groups = (
         [(t,) for t in range(len(names))] + sorted(target_clusters(sightings))
-        if len(names) <= MAX_SEPARATE_TARGET_VALUES
+        if len(names) <= MAX_SEPARATE_TARGET_AMOUNTS
         else []
     )
     for acts in NOISY_OBSERVABLE_SETS:

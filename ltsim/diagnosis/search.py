@@ -45,14 +45,14 @@ from ltsim.diagnosis.shape_constants import (
     integrate_over_shapes,
     region_centre_estimates,
 )
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 """Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
 second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
-of coefficients: a slope and `N_MODES_DEFAULT` eigenfunctions."""
+of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 MAX_RANKED_LAWS = 400
@@ -249,7 +249,7 @@ class Searcher:
                     with_steps_and_switches=not self.uses_fewer_evaluations,
                 )
             else:
-                entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, catalogue_name(law)))
+                entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, equivalent_effect_name(law)))
         return entries
 
     def estimates(

@@ -100,7 +100,7 @@ def _integrate_over_shape(
     def log_evidence_at(positions: Floats) -> Floats:
         values = (shape_constant_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
-            [effect.with_constants(**{shape.name: value}) for value in values], conditioning_model
+            [effect.with_shape_parameters(**{shape.name: value}) for value in values], conditioning_model
         )
 
     logs = log_evidence_at(u)
@@ -110,7 +110,7 @@ def _integrate_over_shape(
         more = np.setdiff1d(np.linspace(near[0], near[-1], N_REFINEMENT_GRID_POINTS), u)
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
-    best_effect = effect.with_constants(
+    best_effect = effect.with_shape_parameters(
         **{shape.name: shape_constant_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
     )
     height = np.exp(logs - logs.max())
@@ -206,7 +206,7 @@ def shape_constants_nodes(
             _distinct_neighbours(effect, sightings), *(zip(*axis, strict=True) for axis in axes)
         )
     ]
-    grid_effects = [instance.with_constants(**constants) for instance, constants, _ in points]
+    grid_effects = [instance.with_shape_parameters(**constants) for instance, constants, _ in points]
     posteriors = [
         wide_prior_posterior(*moments, plausible_sizes)
         for moments in calculator.grams_and_scores(grid_effects, conditioning_model)

@@ -17,9 +17,9 @@ from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_regressors
+from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS_IN_REGION, wave_regressors
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
@@ -94,7 +94,7 @@ def switched_forms(
         [law.with_switch([always_on, *chosen] if starts_on else chosen)], conditioning_model
     )[0]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
-    form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
+    form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, equivalent_effect_name(refined))
     return [form, *_forms_with_formula_as_second_factor(calculator, form, conditioning_model)]
 
 
@@ -114,7 +114,7 @@ def _forms_with_formula_as_second_factor(
     best_formula = formulas[index_of_largest(calculator.log_evidence(formulas, conditioning_model))]
     refined, value = calculator.refine_locally([best_formula], conditioning_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
-    return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
+    return [Hypothesis(refined, log_prior, value + log_prior, equivalent_effect_name(refined))]
 
 
 def _span_gram_and_score(
@@ -208,7 +208,7 @@ def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], s
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
-    return min(counts) > MIN_EFFECTIVE_TARGETS
+    return min(counts) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 
 def _is_within_set_up(time: float, sightings: Sightings) -> bool:

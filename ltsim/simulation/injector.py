@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
-from ltsim.physics.effects.verbs import constants_in_display_units
+from ltsim.physics.effects.verbs import displayed_shape_parameters
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certified_lengths
@@ -76,7 +76,7 @@ class InjectedEffect(Result):
     def to_json(self) -> dict[str, Any]:
         """Entry of the effect in a truth file of injections."""
         cause = self.effect
-        shape = constants_in_display_units(cause) if isinstance(cause, Effect) else {}
+        shape = displayed_shape_parameters(cause) if isinstance(cause, Effect) else {}
         return {
             "effect": cause.name, "words": self.effect_specification,
             "stations": list(cause.stations), "targets": list(cause.targets),

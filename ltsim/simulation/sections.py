@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.core.errors import InputError, ModelError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
-from ltsim.physics.effects.verbs import SizedEffect, constants_in_display_units, make_effect
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_INCIDENCE_RANGE_ERRORS
+from ltsim.physics.effects.verbs import SizedEffect, displayed_shape_parameters, make_effect
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.setup import (
     MIN_SIGMA,
@@ -223,7 +223,7 @@ class Smr(TomlSection):
     """True for reflectors with the incidence error of `range_error_table_um`."""
     range_error_table_um: Annotated[
         tuple[Finite, ...], Field(min_length=len(INCIDENCE_TABLE_ANGLES), max_length=len(INCIDENCE_TABLE_ANGLES))
-    ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS)
+    ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_INCIDENCE_RANGE_ERRORS)
     """Range errors at the incidence angles -30, -22.5, ... +30 deg."""
     direction_deg: AngleDegrees = 0.0
     """Direction of positive incidence angles of the table: rotation about the nest's normal from the horizontal."""
@@ -395,6 +395,6 @@ class EffectEntry(PlacedEffect):
     def from_effect(cls, source: Effect | SizedEffect) -> Self:
         """Entry of an effect object; its parameters are drawn if the object has no sizes."""
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
-        effect, sizes = sized.effect, dict(sized.display_values)
+        effect, sizes = sized.effect, dict(sized.parameter_values_in_display_units)
         places = {"stations": effect.stations, "targets": effect.targets}
-        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=constants_in_display_units(effect))
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=displayed_shape_parameters(effect))

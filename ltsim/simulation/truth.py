@@ -17,7 +17,7 @@ from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import constants_in_display_units, make_effect
+from ltsim.physics.effects.verbs import displayed_shape_parameters, make_effect
 from ltsim.recordings.files import safe_excerpt, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
@@ -141,7 +141,7 @@ class TrueEffect(Entry):
             effect=effect.name,
             stations=effect.stations,
             targets=effect.targets,
-            shape=constants_in_display_units(effect),
+            shape=displayed_shape_parameters(effect),
             parameters=tuple(
                 TrueParameterValue(name=p.name, value=value / p.si_per_display_unit, unit=p.unit)
                 for p, value in zip(effect.parameters, values, strict=True)

@@ -85,7 +85,7 @@ def test_another_scale_of_the_coordinates_is_reported_and_noise_is_none(recordin
     for scale, noise in ((1.0004, 1e-5), (0.9999, 3e-5), (1.0, 1e-3), (1.0, 1e-5)):
         drawn = {name: scale * place for name, place in hall(recording, names, noise=noise).items()}
         (note, *_) = lt.adjust(with_axes_from_points(recording, drawn, "h")).notes
-        reported = re.search(r"on a scale that differs by (\S+) \+- (\S+) ppm", note)
+        reported = re.search(r"the scale of the coordinates differs by (\S+) \+- (\S+) ppm", note)
         assert (reported is not None) == (scale != 1.0), note
         if reported is not None:
             assert float(reported[1]) == pytest.approx(1e6 * (scale - 1.0), abs=4 * float(reported[2]))

@@ -29,7 +29,7 @@ def refitted(
 
 def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
     true = StationSettling(("S3",), time_constant=480.0)
-    _, told = refitted(true, true.with_constants(time_constant=700.0), [30e-6, -20e-6, 40e-6])
+    _, told = refitted(true, true.with_shape_parameters(time_constant=700.0), [30e-6, -20e-6, 40e-6])
     expected = {"tilt-x": 30e-6, "tilt-y": -20e-6, "rise": 40e-6, "time_constant": 480.0}
     assert set(told) == set(expected)
     for name, value in expected.items():
@@ -39,7 +39,7 @@ def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
 
 def test_a_refit_without_noise_ends_at_the_truth() -> None:
     true = RangeCyclic(wavelength=0.75)
-    found, told = refitted(true, true.with_constants(wavelength=0.76), [10e-6, 0.0], noise=0.0)
+    found, told = refitted(true, true.with_shape_parameters(wavelength=0.76), [10e-6, 0.0], noise=0.0)
     assert found.chi2 < 1.0
     assert told["wavelength"].value == pytest.approx(0.75, rel=1e-3)
 
@@ -50,7 +50,7 @@ def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> Non
     for length, off in ((0.02, 5e-4), (0.75, 5e-3)):
         true = RangeCyclic(wavelength=length)
         start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment_construction())
-        guess = [true.with_constants(wavelength=length * (1 + off))]
+        guess = [true.with_shape_parameters(wavelength=length * (1 + off))]
         found = refit_with_effects(start.with_effects, guess, start_state=start.state)
         assert found.adjustment.chi2 < 0.1
         *_, wavelength = found.estimates[0]
@@ -84,7 +84,7 @@ def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:
         return found
 
     true = RangeCyclic(wavelength=0.75)
-    guess = true.with_constants(wavelength=0.76)
+    guess = true.with_shape_parameters(wavelength=0.76)
     found, told = refitted(true, guess, [10e-6, 0.0], noise=0.0, adjusted=capped)
     assert bad
     assert found.solution.has_converged

@@ -19,7 +19,7 @@ from ltsim.campaigns.summary import CampaignSummary, SolverComparison, Statistic
 from ltsim.cli.main import run
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.results import Result
-from ltsim.physics.effects.descriptions import ConstantDescription, EffectDescription, ParameterDescription
+from ltsim.physics.effects.descriptions import EffectDescription, ParameterDescription, ShapeParameterDescription
 from ltsim.recordings.result_file import ResultFile
 from ltsim.reports.schemas import MODEL_BY_FILE_NAME, RESULT_MODELS
 
@@ -91,7 +91,7 @@ def test_the_summary_of_a_campaign_is_one_model() -> None:
 
 def test_the_catalogue_of_effects_is_one_model(capsys: pytest.CaptureFixture[str]) -> None:
     """`ltsim effects --json` prints the descriptions that `lt.catalogue` returns."""
-    kinds = EffectDescription, ParameterDescription, ConstantDescription
+    kinds = EffectDescription, ParameterDescription, ShapeParameterDescription
     assert all(field_descriptions(kind).keys() == kind.model_fields.keys() for kind in kinds)
     assert run(["effects", "station-settling", "--json"]) == 0
     (effect,) = lt.catalogue("station-settling").descriptions

@@ -30,8 +30,8 @@ def problem_of(seed: int, faces: int = 1) -> DistanceProblem:
 def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
     """Gradient of eq. 9's sum of squares, over its usual size by chance at each unknown."""
     rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
-    gradient = rows.unknown_derivatives.T @ rows.residuals
-    return gradient / (np.linalg.norm(rows.unknown_derivatives, axis=0) * np.linalg.norm(rows.residuals))
+    gradient = rows.derivatives_by_unknowns.T @ rows.residuals
+    return gradient / (np.linalg.norm(rows.derivatives_by_unknowns, axis=0) * np.linalg.norm(rows.residuals))
 
 
 @pytest.mark.parametrize("seed", family(range(100), 10))
@@ -46,7 +46,7 @@ def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
     """Largest component of the smallest subgradient of the absolute values: rows that are met pull as they like."""
     rows = pair_difference_comparisons(problem, problem.distances_at(unknowns))
-    scaled = rows.unknown_derivatives / np.abs(rows.unknown_derivatives).sum(axis=0)
+    scaled = rows.derivatives_by_unknowns / np.abs(rows.derivatives_by_unknowns).sum(axis=0)
     met = np.argsort(np.abs(rows.residuals))[: 2 * len(unknowns)]
     rest = np.setdiff1d(np.arange(len(rows.residuals)), met)
     pull, free = np.sign(rows.residuals[rest]) @ scaled[rest], scaled[met].T

@@ -92,7 +92,7 @@ def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
         (lambda c: c["parameters"].__setitem__(1, c["parameters"][0]), "occurs twice"),
         (lambda c: c["parameters"][0].update(unit="furlong"), "unknown unit 'furlong'"),
         (lambda c: c["parameters"][0].update(value="much"), "parameters.0.value"),
-        (lambda c: c["covariance"].pop(), "not a square of 16 x 16"),
+        (lambda c: c["covariance"].pop(), "not a matrix of 16 x 16"),
         (lambda c: c.update(construction="mirror"), "no construction called 'mirror'"),
     ],
 )

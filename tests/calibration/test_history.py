@@ -11,7 +11,7 @@ from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
-from ltsim.calibration.events import has_enough_steps, significant_steps
+from ltsim.calibration.events import has_enough_steps_for_event_test, significant_parameter_steps
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
@@ -56,7 +56,7 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
         rng = random_stream(1, "unchanged", trial)
         truth = PRIOR * rng.standard_normal(SIZE)
         history = CalibrationSeries.from_labelled(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
-        change = history.change(0, 2)
+        change = history.change_between(0, 2)
         joint.append(change.p_value)
         single.append([p.p_value for p in change.parameters[SILENT + 1 :: 3]])
         constant.append(history.constancy_test().p_value)
@@ -68,7 +68,7 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
 def test_what_no_reading_touches_is_neither_changed_nor_counted():
     rng = random_stream(2, "silent")
     history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
-    change = history.change(0, 1)
+    change = history.change_between(0, 1)
     assert change.dof <= SIZE - SILENT
     assert [p.p_value for p in change.parameters[:SILENT]] == pytest.approx([1.0] * SILENT)
     assert history.constancy_test(0).dof == 0
@@ -84,8 +84,12 @@ def test_a_changed_parameter_is_found_and_named():
     history = CalibrationSeries.from_labelled(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
-    assert [change.changed_parameters for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
-    assert history.changes()[1].p_value < 1e-10
+    assert [change.changed_parameters for change in history.successive_changes()] == [
+        (),
+        (CONSTRUCTION.parameter_names[5],),
+        (),
+    ]
+    assert history.successive_changes()[1].p_value < 1e-10
     assert history.constancy_test(5).p_value < 1e-6
     assert history.constancy_test(6).p_value > 1e-3
 
@@ -127,7 +131,7 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     k = 4
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
     assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.si_per_display_unit)
-    assert content["change_since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
+    assert content["change_since_first"]["chi2"] == pytest.approx(history.change_between(0, 2).chi2)
 
 
 def walked(trial, *, blow=0.0):
@@ -143,14 +147,14 @@ def walked(trial, *, blow=0.0):
 def test_what_moves_from_day_to_day_is_no_event():
     """The joint test sees every step; hardly one in a hundred histories has an event that is none."""
     histories = [walked(trial) for trial in range(12)]
-    assert all(change.p_value < 0.01 for change in histories[0].changes())
-    assert sum(bool(significant_steps(history)) for history in histories) <= 1  # two by chance: 0.6 %
+    assert all(change.p_value < 0.01 for change in histories[0].successive_changes())
+    assert sum(bool(significant_parameter_steps(history)) for history in histories) <= 1  # two by chance: 0.6 %
 
 
 def test_a_blow_stands_out_and_is_dated():
     for trial in range(2):
         history = walked(trial, blow=12.0)
-        found, size = significant_steps(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
+        found, size = significant_parameter_steps(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
         assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.parameter_names[6])]
         assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
         assert found[0].usual_step_sigma == pytest.approx(0.7 * size, rel=0.5)
@@ -174,14 +178,14 @@ def wandered(trial, *, blow=0.0, dated=True):
 
 def test_half_a_year_may_move_what_a_day_may_not():
     """Without dates the long step is taken for an event; with them it is one as often as it should be."""
-    undated = sum(bool(significant_steps(wandered(trial, dated=False))) for trial in range(8))
-    dated = sum(bool(significant_steps(wandered(trial))) for trial in range(8))
+    undated = sum(bool(significant_parameter_steps(wandered(trial, dated=False))) for trial in range(8))
+    dated = sum(bool(significant_parameter_steps(wandered(trial))) for trial in range(8))
     assert undated >= 6
     assert dated <= 1
 
 
 def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
-    found = significant_steps(wandered(0, blow=12.0))
+    found = significant_parameter_steps(wandered(0, blow=12.0))
     assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.parameter_names[6])]
 
 
@@ -203,8 +207,8 @@ def test_wrong_dates_get_a_sentence(dates, words):
 def test_few_calibrations_tell_no_event():
     rng = random_stream(7, "few")
     history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
-    assert not has_enough_steps(history)
-    assert not significant_steps(history)
+    assert not has_enough_steps_for_event_test(history)
+    assert not significant_parameter_steps(history)
 
 
 def test_one_calibration_alone_is_refused():

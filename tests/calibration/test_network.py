@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.undetermined import (
     undetermined_combinations,
 )
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_conflict import log_odds_of_wrong_constants
+from ltsim.calibration.prior_conflict import log_odds_of_changed_constants
 from ltsim.core.errors import ModelError
 from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE, PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.geometry.polar import from_polar, to_polar
@@ -202,7 +202,7 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
         assert one.arrays.is_prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
-        assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
+        assert sum("leaves errors of 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
         found.append((one.estimates[:, scale] - 12e-6) / one.sigma[:, scale])
     assert np.sqrt(np.mean(np.square(found))) < 1.8
@@ -210,7 +210,7 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
 
 def test_a_constant_that_the_readings_hardly_see_contradicts_nothing_where_one_that_they_see_does() -> None:
     """Two changes of five sigmas: of 35 and of 2.5 times what was known of the constant, by a mixture of normals."""
-    odds = log_odds_of_wrong_constants(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
+    odds = log_odds_of_changed_constants(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
     assert odds[0] < 0.0 < odds[1]
     for own, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
         spreads = np.sqrt([1.0 + weight * size**2 for size in PRIOR_BY_RELATIVE_EFFECT_SIZE])

@@ -117,7 +117,7 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
     assert found.fit_with_constants is not None
     assert found.fit_with_constants.p_value > 0.01 > found.fit.p_value
     assert not found.constants_included
-    assert "its constants were not estimated" in str(found)
+    assert "the instrument constants were not estimated" in str(found)
     corrected = lt.correct(plain, lt.calibrate(plain, advise=False))
     again = lt.adjust(corrected)
     assert again.fit_with_constants is None

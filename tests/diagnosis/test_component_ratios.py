@@ -74,7 +74,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
         )
         ratio = (*ratio, *(0.1,) * (free.n_setup_components - len(ratio)))
         fixed = EmpiricalLaw(
-            stations, (), free.response, free.regressor, has_coefficients_per_setup=each, direction=ratio
+            stations, (), free.response, free.regressor, has_coefficients_per_setup=each, component_ratio=ratio
         )
         values = random_stream(3, "values").standard_normal(free.regressor.n_columns)
         np.testing.assert_allclose(
@@ -89,7 +89,7 @@ def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
         stations = recording.stations if each else ()
         bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), has_coefficients_per_setup=each)
         ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_setup_components), 4).tolist())
-        law = EmpiricalLaw(stations, (), stand, bare.regressor, has_coefficients_per_setup=each, direction=ratio)
+        law = EmpiricalLaw(stations, (), stand, bare.regressor, has_coefficients_per_setup=each, component_ratio=ratio)
         assert parse_law("position of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
-    with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
+    with pytest.raises(ModelError, match="a ratio of 2 components; expected 3"):
         parse_law("position of the stand", "time, components in the ratio 0.6 / 0.8", recording)

@@ -7,7 +7,12 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.evidence import LOG_EFFECT_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, likelihood_information, log_sum_exp
+from ltsim.calibration.evidence import (
+    LOG_PRIOR_OF_EFFECT_SIZES,
+    RELATIVE_EFFECT_SIZES,
+    likelihood_information,
+    log_sum_exp,
+)
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.instruments import (
     ConstantChange,
@@ -69,7 +74,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
     change = np.zeros((32, 32))
     logs = []
-    for t, weight in zip(RELATIVE_EFFECT_SIZES, LOG_EFFECT_SIZE_PRIOR, strict=True):
+    for t, weight in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
     log = float(log_sum_exp(np.array(logs))) - density(expected) + log_prior_of_each_explanation("constant", 16)

@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.heat_plume import HeatPlume
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from ltsim.scene.regions import HallRegion
@@ -95,7 +95,7 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
     sightings = adjustment.sightings
     group = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])
     later = group & (recording.time > np.median(recording.time))
-    change = exact_change_by_displacement(sightings, np.outer(later, [1e-6, -1e-6, 0.0])) * 1e6
+    change = reading_change_by_displacement(sightings, np.outer(later, [1e-6, -1e-6, 0.0])) * 1e6
     finding, _ = changed((recording, adjustment), change, 400.0)
     assert finding.carrier == "position of targets" and set(finding.where.targets) == set(names)
     assert finding.evidence.parameters <= 6

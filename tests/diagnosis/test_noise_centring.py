@@ -12,7 +12,7 @@ from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses, with_declared_centring
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.recordings.recording import Recording
@@ -27,7 +27,7 @@ def centred_anew(seed: int, sigma: float) -> Recording:
     period = recording.station // 2
     labels = {"target_setup": tuple(f"P{p}" for p in period.tolist())}
     displacement = sigma * random_stream(seed, "centring").standard_normal((2, len(recording.targets), 3))
-    change = exact_change_by_displacement(adjust(recording).sightings, displacement[period, recording.target])
+    change = reading_change_by_displacement(adjust(recording).sightings, displacement[period, recording.target])
     return recording.replace(readings=recording.readings + change, labels=labels)
 
 
@@ -81,7 +81,7 @@ def repeated(seed: int, sigma: float) -> Recording:
     """Three stations, two rounds in one face; at each set-up each reflector is displaced by `sigma` [m]."""
     recording, _ = network(seed=seed, stations=3, repeats=2)
     displacement = sigma * random_stream(seed, "centring").standard_normal((3, len(recording.targets), 3))
-    change = exact_change_by_displacement(
+    change = reading_change_by_displacement(
         adjust(recording).sightings, displacement[recording.station, recording.target]
     )
     return recording.with_readings(recording.readings + change)
@@ -93,7 +93,7 @@ def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_eac
     diagnosis = diagnose(recording)
     (finding,) = diagnosis.findings
     assert finding.formula == CentringVariance(occupation_grouping="station").text
-    assert finding.sentence.startswith("Repeated pointings of a target from one set-up share errors of 0.0")
+    assert finding.sentence.startswith("Repeated pointings of a target from one set-up have common errors of 0.0")
     assert finding.parameters[0].value == pytest.approx(0.02, rel=0.2)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
 

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import LOG_EFFECT_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_evidence, log_sum_exp
+from ltsim.calibration.evidence import LOG_PRIOR_OF_EFFECT_SIZES, RELATIVE_EFFECT_SIZES, log_evidence, log_sum_exp
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
@@ -66,7 +66,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     for table in (CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in prior_table_rows()) == pytest.approx(1.0, abs=1e-12)
-    assert np.exp(LOG_EFFECT_SIZE_PRIOR).sum() == pytest.approx(1.0)
+    assert np.exp(LOG_PRIOR_OF_EFFECT_SIZES).sum() == pytest.approx(1.0)
     _, found, _ = made
     laws = sum(
         np.exp(p.log_prior_by_place).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
@@ -111,8 +111,8 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
-    for one, weight in zip(RELATIVE_EFFECT_SIZES, LOG_EFFECT_SIZE_PRIOR, strict=True):
-        for other, more in zip(RELATIVE_EFFECT_SIZES, LOG_EFFECT_SIZE_PRIOR, strict=True):
+    for one, weight in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
+        for other, more in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
             columns = np.hstack([left[0] * one * sizes[0], left[1] * other * sizes[1]])
             inner = np.eye(columns.shape[1]) + columns.T @ columns
             score = columns.T @ whole
@@ -239,7 +239,7 @@ def test_evidence_is_that_of_the_dense_covariance():
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = design_columns.T @ design_columns
     found = coefficient_posterior(gram, design_columns.T @ residual, np.ones(2))
-    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_EFFECT_SIZE_PRIOR)))
+    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_PRIOR_OF_EFFECT_SIZES)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ design_columns.T @ residual) ** 2, strength)))
 

@@ -59,7 +59,7 @@ def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda c: c["covariance"][2].pop(), "the covariance is not a square of 16 x 16 numbers"),
+        (lambda c: c["covariance"][2].pop(), "the covariance is not a matrix of 16 x 16 numbers"),
         (lambda c: c["covariance"][2].__setitem__(1, float("inf")), "the number Infinity, expected a finite"),
         (lambda c: c["fit"].update(chi2=float("nan")), "the number NaN, expected a finite"),
         (lambda c: c["stations"][0].update(position_mm=[1.0, 2.0]), "stations.0.position_mm"),

@@ -114,7 +114,7 @@ def test_wrong_files_get_one_sentence_with_file_and_key(old: str, new: str, mess
 PHYSICS = [
     ('[[effects]]\nname = "beam-tilt"\n[effects.values]\nbeam-tild = 3.0\n', "effects.1.values: beam-tilt has no"),
     ('[[effects]]\nname = "beamtilt"\n', "effects.1: there is no effect called 'beamtilt'; did you mean beam-tilt"),
-    ('[[effects]]\nname = "range-cyclic"\n[effects.shape]\nlength = 1\n', "has no constant called 'length'"),
+    ('[[effects]]\nname = "range-cyclic"\n[effects.shape]\nlength = 1\n', "has no shape parameter called 'length'"),
     ('[[effects]]\nname = "range-cyclic"\n[effects.shape]\nwavelength = "long"\n', "expected a value such as"),
     ('[[effects]]\nname = "azimuth-harmonic"\n[effects.shape]\norder = 3.5\n', "expected a whole number"),
     (

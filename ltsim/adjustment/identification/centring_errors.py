@@ -32,7 +32,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import cross_matrix
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.occupations import target_occupations
@@ -130,7 +130,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
         moved = np.zeros((len(place.occupation_indices), 3))
         moved[rows] = displacement[of]
         offsets = moved if sightings.sight_vector_offsets is None else moved + sightings.sight_vector_offsets
-        residual = np.where(used, (fit.residuals - exact_change_by_displacement(sightings, moved))[rows], 0.0)
+        residual = np.where(used, (fit.residuals - reading_change_by_displacement(sightings, moved))[rows], 0.0)
         slope = replace(sightings, sight_vector_offsets=offsets).target_derivatives[rows] / sigma[:, :, None]
         slope = np.where(used[:, :, None], slope, 0.0)
         normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))

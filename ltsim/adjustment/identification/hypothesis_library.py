@@ -41,7 +41,7 @@ from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
-from ltsim.physics.laws.law import MAX_SWITCH_EDGE_POSITIONS
+from ltsim.physics.laws.law import MAX_CANDIDATE_SWITCH_EDGES
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
@@ -105,8 +105,8 @@ class ShiftFamily:
         if self.place_kind == "instrument":  # a change at the last station alone is a hypothesis of this station
             last = sightings.station[rows[-1]]
             indices = indices[indices < np.flatnonzero(sightings.station[rows] != last)[-1]]
-        if len(indices) > MAX_SWITCH_EDGE_POSITIONS:
-            indices = indices[np.linspace(0, len(indices) - 1, MAX_SWITCH_EDGE_POSITIONS).round().astype(int)]
+        if len(indices) > MAX_CANDIDATE_SWITCH_EDGES:
+            indices = indices[np.linspace(0, len(indices) - 1, MAX_CANDIDATE_SWITCH_EDGES).round().astype(int)]
         return middle[indices].tolist()
 
     def make_effect(self, place: ShiftPlace, onset_time: float) -> LinearEffect:

@@ -40,7 +40,7 @@ from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.gauge_scale import GaugeScale
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
@@ -260,7 +260,7 @@ def _moved_target_candidates(
         for rows, point in zip(parts, points, strict=True):
             displacement[rows] = point - fit.state.target_points[sightings.target[rows]]
         both = np.concatenate(parts)
-        rest = (fit.residuals - exact_change_by_displacement(sightings, displacement))[both] / sigma[both]
+        rest = (fit.residuals - reading_change_by_displacement(sightings, displacement))[both] / sigma[both]
         used = fit.problem_with_all_readings.is_used_reading[both]
         saved = sum(
             sign * float(np.minimum(0.5 * w[used] ** 2, price).sum())

@@ -1,6 +1,6 @@
-"""Catalogue of physical effects, one module per effect.
+"""Catalogue of physical effects that change the readings of a tracker, one module per effect.
 
-A new built-in effect needs a module and an entry in `EFFECT_NAMES_BY_GROUP`.
+To add a built-in effect, write a module for it and add its name to `EFFECT_NAMES_BY_GROUP`.
 """
 
 from importlib import import_module
@@ -37,11 +37,12 @@ EFFECT_NAMES_BY_GROUP = {
     "system and gross": "station-levelling timing-lag station-bump target-swap outlier wrong-unit face-confusion",
     "noise": "noise-level station-noise",
 }
-"""Names of the built-in effects by group; the effect `beam-tilt` is the class `BeamTilt` in `beam_tilt.py`."""
+"""Names of the built-in effects by group of the catalogue, separated by spaces. The class of the effect `beam-tilt`
+is `BeamTilt` in the module `beam_tilt.py`."""
 
 
 def _builtin_effect_class(effect_name: str) -> type[Effect]:
-    """Class of a built-in effect, from the module that is named after the effect."""
+    """Class of the built-in effect `effect_name`, from the module with the same name (with underscores for hyphens)."""
     module_members = vars(import_module(f"{__name__}.{effect_name.replace('-', '_')}")).values()
     return next(kind for kind in module_members if isinstance(kind, type) and vars(kind).get("name") == effect_name)
 
@@ -49,17 +50,21 @@ def _builtin_effect_class(effect_name: str) -> type[Effect]:
 EFFECT_CLASSES_BY_GROUP = {
     group: tuple(map(_builtin_effect_class, names.split())) for group, names in EFFECT_NAMES_BY_GROUP.items()
 }
-"""Classes of the built-in effects by group, in the order of `EFFECT_NAMES_BY_GROUP`."""
+"""Classes of the built-in effects by group of the catalogue, in the order of `EFFECT_NAMES_BY_GROUP`."""
 
 CATALOGUE = Catalogue(EFFECT_CLASSES_BY_GROUP)
-"""Catalogue of all effects: built-in effects, then effects of installed packages (see `effects.catalogue`)."""
+"""Catalogue of all effects: the built-in effects, followed by the effects of installed packages."""
 
 find_effect = CATALOGUE.find
-"""Class of an effect by its name; raises ModelError with the most similar names for an unknown one."""
+"""Function that returns the class of an effect from its name. For an unknown name it raises ModelError with the most
+similar names."""
 
 
 def effect_title(effect_name: str) -> str:
-    """Title of an effect in lower case, for use within a sentence; for an unknown name, the name without hyphens."""
+    """Title of an effect for use within a sentence, with a small first letter.
+
+    For an unknown effect it is the name without hyphens.
+    """
     try:
         title = catalogue_entry(find_effect(effect_name)).title
     except ModelError:
@@ -71,22 +76,22 @@ ORDINARY_CALIBRATION_EFFECT_NAMES = (
     "range-offset range-scale transit-offset beam-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity "
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
-"""Names of the effects whose parameters every ordinary calibration estimates."""
+"""Names, separated by spaces, of the geometric errors whose parameters a calibration always estimates (ordinary
+calibration)."""
 ORDINARY_CALIBRATION_EFFECTS = tuple(
     effect
     for name in ORDINARY_CALIBRATION_EFFECT_NAMES.split()
     if isinstance(effect := find_effect(name)(), ChainErrorEffect)
 )
-"""Effects of the ordinary calibration. Their 16 parameters, which include range zero and range scale, are those of the
-geometric-misalignment model.
-"""
+"""Geometric errors that a calibration always estimates (ordinary calibration). They have 16 parameters in total,
+among them the range zero and the range scale."""
 
 
 def _instrument_parameter_text_by_name() -> dict[str, str]:
-    """Descriptions of the parameters of an ordinary calibration, by name.
+    """Descriptions of the 16 parameters of an ordinary calibration, by the name of the parameter.
 
-    A description is the title of the effect, with the component (such as cosine or sine) for effects with two
-    parameters.
+    A description is the title of the effect. If the effect has two parameters, the component (such as cosine or sine)
+    follows.
     """
     texts = {}
     for effect in ORDINARY_CALIBRATION_EFFECTS:
@@ -102,13 +107,17 @@ def _instrument_parameter_text_by_name() -> dict[str, str]:
 
 
 COMPONENT_TEXT_BY_NAME_ENDING = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
-"""Words for the component of an effect with two parameters, by the ending of the parameter's name."""
+"""Words for users for the component of an effect with two parameters (cosine and sine, lateral and vertical), by the
+ending of the parameter's name."""
 INSTRUMENT_PARAMETER_TEXT_BY_NAME = _instrument_parameter_text_by_name()
-"""Descriptions for users of the parameters of an ordinary calibration, by the name of the parameter."""
+"""Descriptions for users of the 16 parameters of an ordinary calibration, by the name of the parameter."""
 
 
 def parameter_text(name: str) -> str:
-    """Description of a parameter for use within a sentence, from its name or from ``NAME@INSTRUMENT``."""
+    """Description of an instrument parameter for use within a sentence.
+
+    `name` is the name of the parameter, or ``NAME@INSTRUMENT`` for the parameter of one of several instruments.
+    """
     name, _, instrument = name.partition("@")
     words = [name] if "." in name else name.replace("_", " ").replace("-", " ").split()  # J1.eX_c is a symbol
     text = INSTRUMENT_PARAMETER_TEXT_BY_NAME.get(name) or " ".join(

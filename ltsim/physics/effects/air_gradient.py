@@ -13,26 +13,27 @@ from ltsim.scene.sightings import Sightings
 class AirGradient(WarmAirEffect):
     """Uniform vertical gradient of the air's temperature: warm air lies above cool air, and refraction bends the beam.
 
-    Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
-    z_target) / 2 - z_sensor), with the gradient G = dT/dz of the temperature, the sensitivity beta = -dn/dT of the
-    refractive index, and the heights z. Both changes together are a conformal map of space.
-    Poses and targets therefore absorb the whole effect: the residuals do not change, while the coordinates of the
-    targets are distorted (7 um rms at 1 K/m). A weather sensor on the head (`head`) measures at another height at each
-    station, so that each station has another scale.
+    The corrections (true value minus reading) are Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the
+    target's image) and Delta_d = +beta G d ((z_station + z_target) / 2 - z_sensor). They depend on the range d, the
+    elevation el, the gradient G = dT/dz of the temperature, the sensitivity beta = -dn/dT of the refractive index, and
+    the heights z. Together the two changes are a conformal map of space. Station poses and target coordinates therefore
+    absorb the whole effect: the residuals do not change, but the coordinates of the targets are distorted (7 um rms at
+    1 K/m). A weather sensor on the tracker head (`head`) has another height at each station, so that each station has
+    another scale.
 
-    Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
-    Like: with a sensor on the head, station-weather; with a sensor in the hall no effect, because the residuals do not
-    change. Bending alone: head-sag (correlation 0.92), vertical-index (0.86 in one face, 0 in two).
+    Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m deflects a beam of 8 m by 3.7 urad (30 um).
+    Similar to: with a sensor on the head, station-weather; with a sensor in the hall no effect, because the residuals
+    do not change. Bending alone: head-sag (correlation 0.92), vertical-index (0.86 in one face, 0 in two).
     Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
     K/m).
-    Valid: up to some kelvin per metre; the vertical is the z axis of the network frame.
+    Validity: up to some kelvin per metre; the vertical is the z axis of the network frame.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-    doi:10.1364/AO.35.001566 (beta). That a network absorbs the effect is derived here.
-    Status: first order validated against the integrated ray; absorption by the network reproduced.
+    doi:10.1364/AO.35.001566 (beta). The absorption by the network is derived here.
+    Validation: first order validated against the integrated ray; absorption by the network reproduced.
     """
 
     sensor: Literal["room", "head"] = "room"
-    """Position of the weather sensor: at one height in the hall, or on the tracker head."""
+    """Position of the weather sensor: `room` (at one height in the hall) or `head` (on the tracker head)."""
 
     name = "air-gradient"
     light_path_stage = LightPathStage.AIR
@@ -41,11 +42,14 @@ class AirGradient(WarmAirEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: with the weather sensor in the hall, and with it on the tracker head."""
+        """Air gradients that a diagnosis tries: one with the weather sensor in the hall, one with it on the head."""
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """Height (n,) [m] of the weather sensor, where the used temperature is correct, at each of n pointings."""
+        """Height (n,) [m] in the network frame of the weather sensor at each of n pointings.
+
+        At this height the air temperature used for the correction of the range is right.
+        """
         if self.sensor == "head":
             return sightings.station_positions[sightings.station, 2]
         return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
@@ -63,7 +67,7 @@ class AirGradient(WarmAirEffect):
         return column[:, :, None]
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field of air with a vertical gradient of 1 K/m."""
+        """Temperature as a function of position (`TemperatureField`), for a vertical gradient of 1 K/m."""
         sensor_height = self._sensor_height(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:

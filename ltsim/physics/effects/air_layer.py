@@ -9,13 +9,13 @@ from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
 N_CANDIDATE_LAYER_HEIGHTS = 7
-"""Number of heights of the layer that a search tries, between the lowest and the highest point of the network."""
+"""Number of heights of the warm layer that a search tries, between the lowest and the highest target or station."""
 CANDIDATE_TRANSITION_WIDTHS = (0.15, 0.5)
-"""Widths [m] of the transition between the two temperatures that a search tries."""
+"""Widths [m] that a search tries for the transition from the cool air to the warm layer."""
 
 
 def _point_heights(sightings: Sightings) -> Floats:
-    """Heights (T + S,) [m] of T targets, followed by those of S stations, in the network frame."""
+    """Heights (T + S,) [m] in the network frame of the T targets, followed by the heights of the S stations."""
     return np.concatenate([sightings.target_points[:, 2], sightings.station_positions[:, 2]])
 
 
@@ -23,27 +23,28 @@ def _point_heights(sightings: Sightings) -> Floats:
 class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
-    The temperature excess is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or
-    station and the temperature difference D between both layers.
-    Along the path from the station, s = 0 to d, the corrections to the left and upward are (D_t, D_v) = integral of
-    (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, its gradient
-    grad_perp n across the beam, and its value n_sensor at the sensor. Residuals show only the curvature of the profile:
-    targets in the layer are measured too near and too high.
+    The temperature excess at the height z is T(z) = D / (1 + exp(-(z - height) / width)). Here z counts from the lowest
+    target or station, and D is the temperature difference between warm and cool air. The corrections (true value minus
+    reading) are integrals along the path from the station, s = 0 to d: to the left and upward (D_t, D_v) = integral of
+    (d - s) grad_perp n ds, of the range Delta_d = -integral of (n - n_sensor) ds. Here n is the refractive index,
+    grad_perp n its gradient across the beam, and n_sensor its value at the weather sensor. Residuals show only the
+    curvature of the profile: targets in the layer are measured too near and too high.
 
     Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
-    Like: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured first.
+    Similar to: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured
+    first.
     Separate by: a measured temperature profile; another time of day; stations at different heights.
-    Valid: temperature differences of 1 to 10 K; the weather sensor is below the layer; height and width along the
+    Validity: temperature differences of 1 to 10 K; the weather sensor is below the layer; height and width along the
     network's z axis.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
-    Status: first order validated against the integrated ray.
+    Validation: first order validated against the integrated ray.
     """
 
     height: float = 4.0
-    """Height [m] of the middle of the transition above the lowest target or station."""
+    """Height [m] of the middle of the transition to the warm layer, above the lowest target or station."""
     width: float = 0.3
-    """Width [m] of the transition between the two temperatures."""
+    """Width [m] of the transition from the cool air to the warm layer."""
 
     name = "air-layer"
     light_path_stage = LightPathStage.AIR
@@ -58,12 +59,12 @@ class AirLayer(WarmAirEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Layers that a diagnosis tries, with heights between the lowest and the highest target or station."""
+        """Air layers that a diagnosis tries, at heights between the lowest and the highest target or station."""
         heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_CANDIDATE_LAYER_HEIGHTS + 2)[1:-1]
         return [cls(height=float(z), width=w) for z in heights for w in CANDIDATE_TRANSITION_WIDTHS]
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field of a layer that is 1 K warmer than the air below."""
+        """Temperature as a function of position (`TemperatureField`), for a layer 1 K warmer than the air below."""
         from scipy.special import expit
 
         floor = float(_point_heights(sightings).min(initial=np.inf))

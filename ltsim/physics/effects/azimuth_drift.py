@@ -6,25 +6,26 @@ from ltsim.physics.effects.places import MotionDrift
 class AzimuthDrift(MotionDrift):
     """Drift of the azimuth zero: the base or the tripod head rotates, or the circle warms up.
 
-    Correction of the azimuth = r t (at every station, or at one) or A exp(-t / tau), with the time t, the rate r, the
-    amplitude A and the time constant tau. The station's yaw absorbs the mean of the correction. Residuals therefore
-    show only the change while a station is measured, and a linear drift over the recording equals a drift that restarts
-    at every station.
+    The correction (true value minus reading) of the azimuth is r t, at every station or at one station, or A exp(-t /
+    tau). Here t is the time, r the rate, A the amplitude and tau the time constant. The estimated yaw of a station
+    absorbs the mean of the correction. Residuals therefore show only the change while a station is measured, and a
+    linear drift over the recording equals a drift that restarts at every station.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
-    Like: transit-tilt (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their heights.
+    Similar to: transit-tilt (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their
+    heights.
     Separate by: a random order of the targets; a repeat of the first three targets at the end of each station.
-    Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
+    Validity: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
     88-98 (tests of a Leica AT401).
-    Status: validated against a constant azimuth correction at a given time, and the equality of both linear laws up to
-    yaw.
+    Validation: validated against a constant azimuth correction at a given time, and the equality of both linear laws up
+    to yaw.
     """
 
     name = "azimuth-drift"
     light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
-    chain_error = "azimuth"
+    chain_error_key = "azimuth"
     rate_parameter = Parameter(
         "azimuth-drift", "urad/h", "growth rate of the azimuth correction", 20 * SI_PER_UNIT["urad/h"]
     )
@@ -33,5 +34,5 @@ class AzimuthDrift(MotionDrift):
     )
     parameters = (rate_parameter,)
 
-    candidate_laws_linear_in_time = ("visit",)
+    candidate_linear_time_laws = ("visit",)
     tries_single_stations = True

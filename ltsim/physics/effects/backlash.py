@@ -9,16 +9,17 @@ from ltsim.scene.sightings import Sightings
 class Backlash(Effect):
     """Backlash: the reading of an axis depends on the direction of its last motion (hysteresis).
 
-    Correction of the raw angle = -h/2 sgn(last motion of that axis), with the width h of the dead zone of each axis.
-    The last motion is the motion from the previous pointing of the station to the present one. The first pointing of a
-    station has no correction.
+    The correction (true value minus reading) of a raw angle is -h/2 sgn(last motion of its axis), with the width h of
+    the axis's dead zone. The last motion is the motion from the previous pointing of the station to the present one.
+    The first pointing of a station has no correction.
 
     Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
-    Like: encoder harmonics, if the targets are always measured in the same order.
+    Similar to: encoder harmonics, if the targets are always measured in the same order.
     Separate by: the same targets in the reverse order.
-    Valid: constant width; rows in the order of measurement. Cable drag that decays during the motion is not included.
-    Source: general knowledge of drives; the equation is that of a mechanical play of constant width.
-    Status: validated by reversing the order of measurement, which changes the sign.
+    Validity: constant width; rows in the order of measurement. Cable drag that decays during the motion is not
+    included.
+    Source: general knowledge of drives; the equation describes a mechanical play of constant width.
+    Validation: validated by reversing the order of measurement, which changes the sign.
     """
 
     name = "backlash"

@@ -1,11 +1,12 @@
-"""Catalogue of effects, built-in and from installed packages, and the catalogue entry of each.
+"""Catalogue of effects, built-in and from installed packages, with a catalogue entry for each effect.
 
-A package provides effects by entry points of the group `ltsim.effects`, each with the name of a class:
+A package provides effects by entry points of the group `ltsim.effects`. Each entry point has the name of an effect and
+refers to its class:
 
     [project.entry-points."ltsim.effects"]
     cable-drag = "my_package.cable_drag:CableDrag"
 
-Packages are searched when an effect that is not built-in is first needed, not when ltsim is imported.
+Installed packages are searched when an effect that is not built-in is first needed, not when ltsim is imported.
 
 The catalogue entry is the docstring of the effect's class, or of its module. Its first line is the title, a colon and
 the cause. The equation follows, with its sign, and then a paragraph for each of `DOCSTRING_SECTIONS`.
@@ -26,25 +27,27 @@ from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
-"""Name of the group of entry points by which an installed package provides effects."""
-BUILTIN_PROVIDER = "ltsim"
-"""Name of the provider of built-in effects in the catalogue."""
-SESSION_PROVIDER = "this session"
-"""Name of the provider, in the catalogue, of effects that were registered in the running session."""
+"""Name of the group of entry points by which installed packages provide effects."""
+BUILTIN_PROVIDER_NAME = "ltsim"
+"""Name of the provider of the built-in effects, as the catalogue shows it."""
+SESSION_PROVIDER_NAME = "this session"
+"""Name of the provider, as the catalogue shows it, of effects that the user registered in the running Python
+session."""
 PACKAGE_EFFECTS_HEADING = "installed"
-"""Heading in the catalogue of the effects that installed packages provide."""
+"""Heading in the catalogue of the group of effects from installed packages."""
 NO_MEASUREMENT_PHRASE = "no measurement is needed"
-"""Beginning of the section `Separate by` of an effect that the readings themselves distinguish from all others."""
+"""Beginning of the section `Separate by` of an effect that needs no further measurement, because the readings
+distinguish it from all other effects."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-"""Permitted names of effects: lower-case words, joined by hyphens."""
-DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
-"""Sections of a catalogue entry after its equation, in this order. Size: sizes in a good and in a bad instrument or
-hall. Like: effects with similar residuals, with the correlation of the residuals in the reference workshop for one face
-and for two faces. Separate by: measurements that distinguish the effect from similar effects. Valid: domain in which
-the equation holds. Source: literature. Status: how the equation was validated.
-"""
-_SECTION_START = re.compile(rf"^({'|'.join(DOCSTRING_SECTIONS)}): ", re.MULTILINE)
-"""Pattern for the start of a section of a catalogue entry: its name and a colon."""
+"""Regular expression of permitted names of effects: lower-case words that are joined by hyphens."""
+DOCSTRING_SECTIONS = ("Size", "Similar to", "Separate by", "Validity", "Source", "Validation")
+"""Names of the sections of a catalogue entry after its equation, in their order. `Size`: sizes in a good and in a
+bad instrument or hall. `Similar to`: effects with similar residuals, with the correlation of the residuals in the
+reference workshop for one face and for two faces. `Separate by`: measurements that distinguish the effect from
+similar effects. `Validity`: domain in which the equation holds. `Source`: literature. `Validation`: tests of the
+equation."""
+_SECTION_START_PATTERN = re.compile(rf"^({'|'.join(DOCSTRING_SECTIONS)}): ", re.MULTILINE)
+"""Regular expression for the start of a section in a catalogue entry: the name of the section and a colon."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,9 @@ class CatalogueEntry:
     cause_description: str
     """Description of the physical cause."""
     equation: str
-    """Equation of the effect with its sign, line by line as in the docstring."""
+    """Equation of the effect with its sign, in the lines of the docstring."""
     section_texts: tuple[str, ...]
-    """Texts of the sections in `DOCSTRING_SECTIONS`, in that order."""
+    """Texts of the sections of the catalogue entry, in the order of `DOCSTRING_SECTIONS`."""
 
     @classmethod
     def from_docstring(cls, docstring: str) -> Self:
@@ -71,7 +74,7 @@ class CatalogueEntry:
         if not colon or not cause:
             first_line = head.partition("\n")[0]
             raise ModelError(f"the docstring of an effect must begin with 'Title: cause.', found {first_line!r}")
-        pieces = _SECTION_START.split(rest)
+        pieces = _SECTION_START_PATTERN.split(rest)
         if tuple(pieces[1::2]) != DOCSTRING_SECTIONS:
             wanted, present = ", ".join(DOCSTRING_SECTIONS), ", ".join(pieces[1::2]) or "none"
             raise ModelError(f"the docstring of an effect must have the sections {wanted} in order, found {present}")
@@ -83,21 +86,27 @@ class CatalogueEntry:
 
     @property
     def confirming_measurement(self) -> str:
-        """First measurement named in the section `Separate by`; empty if no measurement is needed."""
+        """Measurement that would confirm the effect; empty if none is needed.
+
+        It is the first measurement in the section `Separate by`.
+        """
         separating_text = dict(self.sections())["Separate by"]
         measurement = re.split("[;:]", separating_text, maxsplit=1)[0].rstrip(".")
         return "" if measurement.startswith(NO_MEASUREMENT_PHRASE) else measurement
 
     def sections(self) -> tuple[tuple[str, str], ...]:
-        """Pairs (name, text) of the sections after the equation."""
+        """Pairs of name and text of the sections of the catalogue entry after its equation."""
         return tuple(zip(DOCSTRING_SECTIONS, self.section_texts, strict=True))
 
 
 @cache
 def catalogue_entry(effect_class: type) -> CatalogueEntry:
-    """Catalogue entry of an effect class; raises ModelError if neither class nor module has a complete docstring."""
+    """Catalogue entry parsed from the docstring of an effect class, or of its module.
+
+    Raises ModelError if neither docstring is complete.
+    """
     doc = effect_class.__dict__.get("__doc__") or ""
-    text = doc if _SECTION_START.search(inspect.cleandoc(doc)) else sys.modules[effect_class.__module__].__doc__
+    text = doc if _SECTION_START_PATTERN.search(inspect.cleandoc(doc)) else sys.modules[effect_class.__module__].__doc__
     try:
         return CatalogueEntry.from_docstring(text or "")
     except ModelError as problem:
@@ -106,17 +115,19 @@ def catalogue_entry(effect_class: type) -> CatalogueEntry:
 
 @dataclass(frozen=True)
 class ListedEffect:
-    """Effect class with its group in the catalogue and its provider."""
+    """Effect class with the group in which the catalogue lists it and with the provider of the effect."""
 
     effect_class: type[Effect]
+    """Class of the effect."""
     group: str
     """Heading of the group in the catalogue."""
     provider: str
-    """Name and version of the package that provides the effect, or `BUILTIN_PROVIDER` or `SESSION_PROVIDER`."""
+    """Name and version of the package that provides the effect; `BUILTIN_PROVIDER_NAME` for a built-in effect,
+    `SESSION_PROVIDER_NAME` for an effect registered in this Python session."""
 
 
 def installed_entry_points() -> list[EntryPoint]:
-    """Entry points of installed packages that provide effects; a package that is found twice counts once."""
+    """Entry points by which installed packages provide effects, each listed once even if its package is found twice."""
     points = {
         (_package_name_and_version(point), point.name, point.value): point
         for point in entry_points(group=ENTRY_POINT_GROUP)
@@ -125,10 +136,10 @@ def installed_entry_points() -> list[EntryPoint]:
 
 
 class Catalogue(Sequence[type[Effect]]):
-    """Catalogue of all effects: built-in effects in their order, then other effects in the order of their names.
+    """Catalogue of all effects: built-in effects in their order, then other effects in alphabetical order.
 
-    `built_in_effects` are the built-in effects by group. `find_entry_points` returns the entry points of packages that
-    provide effects.
+    `built_in_effects` has the classes of the built-in effects by group. `find_entry_points` returns the entry points by
+    which packages provide effects.
     """
 
     def __init__(
@@ -138,16 +149,17 @@ class Catalogue(Sequence[type[Effect]]):
     ) -> None:
         self._find_entry_points = find_entry_points
         self._builtin_effects = {
-            kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER)
+            kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER_NAME)
             for group, kinds in built_in_effects.items()
             for kind in kinds
         }
 
     @cached_property
     def entries(self) -> Mapping[str, ListedEffect]:
-        """Effects by name, each with group and provider.
+        """Effects of the catalogue by name, each with its group and provider.
 
-        Raises ModelError for an effect of a package that cannot be used; the message names the package and the reason.
+        Raises ModelError if an effect of an installed package cannot be used; the message names the package and the
+        reason.
         """
         added: dict[str, ListedEffect] = {}
         for point in self._find_entry_points():
@@ -161,16 +173,16 @@ class Catalogue(Sequence[type[Effect]]):
         return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
     def add(self, effect_class: type[Effect]) -> type[Effect]:
-        """Registration of an effect class for this session; the class is returned, as by a decorator.
+        """Registration of an effect class for the running Python session; returns the class, as a decorator does.
 
-        It replaces a class that was registered under the same name in this session. A class without a complete
-        docstring gets a catalogue entry without content. Raises ModelError if the class is no valid effect, or if its
-        name is that of a built-in effect or of an effect of a package.
+        The class replaces an earlier class that was registered under the same name. A class without a complete
+        docstring gets a catalogue entry without content. Raises ModelError if the class is no valid effect, or if a
+        built-in effect or an effect of a package has its name.
         """
         if why := invalid_effect_reason(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
         earlier = self.entries.get(effect_class.name)
-        if earlier is not None and earlier.group != SESSION_PROVIDER:
+        if earlier is not None and earlier.group != SESSION_PROVIDER_NAME:
             raise ModelError(f"{earlier.provider} already has an effect '{effect_class.name}'; use another name")
         try:
             catalogue_entry(effect_class)
@@ -180,17 +192,17 @@ class Catalogue(Sequence[type[Effect]]):
             effect_class.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {
             **self.entries,
-            effect_class.name: ListedEffect(effect_class, SESSION_PROVIDER, SESSION_PROVIDER),
+            effect_class.name: ListedEffect(effect_class, SESSION_PROVIDER_NAME, SESSION_PROVIDER_NAME),
         }
         return effect_class
 
     @property
     def session_effects(self) -> tuple[type[Effect], ...]:
-        """Effect classes that were registered in this session; new processes do not know them."""
-        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER)
+        """Effect classes that were registered in the running Python session; other processes do not know them."""
+        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER_NAME)
 
     def find(self, name: str) -> type[Effect]:
-        """Class of the effect `name`; raises ModelError with the most similar names for an unknown one."""
+        """Class of the effect with the name `name`; raises ModelError with the most similar names if there is none."""
         entry = self._builtin_effects.get(name) or self.entries.get(name)
         if entry is None:
             raise unknown_name_error("effect", name, self.entries)
@@ -207,14 +219,14 @@ class Catalogue(Sequence[type[Effect]]):
 
 
 def _package_name_and_version(entry_point: EntryPoint) -> str:
-    """Name and version of the package that declares an entry point."""
+    """Name and version of the installed package that declares an entry point."""
     return (
         f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist is not None else "an unknown package"
     )
 
 
 def _unusable_effect_error(entry_point: EntryPoint, reason: str) -> ModelError:
-    """Error with the `reason` why the effect of a package, given by its entry point, cannot be used."""
+    """Error with the `reason` why an effect cannot be used that a package provides by `entry_point`."""
     place = f"{entry_point.value} of {_package_name_and_version(entry_point)}"
     return ModelError(
         f"the effect '{entry_point.name}' ({place}) cannot be used: {reason}; repair or uninstall that package"
@@ -222,7 +234,7 @@ def _unusable_effect_error(entry_point: EntryPoint, reason: str) -> ModelError:
 
 
 def _load_listed_effect(entry_point: EntryPoint) -> ListedEffect:
-    """Effect that an entry point of a package provides; raises ModelError if it cannot be used."""
+    """Effect that an entry point of an installed package provides; raises ModelError if the effect cannot be used."""
     try:
         kind = entry_point.load()
     except Exception as problem:  # importing a module of another package may raise any error
@@ -237,7 +249,7 @@ def _load_listed_effect(entry_point: EntryPoint) -> ListedEffect:
 
 
 def invalid_effect_reason(effect_class: object) -> str:
-    """Reason why a class is no valid effect, as text for users; empty for a valid effect."""
+    """Reason why a class cannot be used as an effect, as text for users; empty if it can be used."""
     if not (isinstance(effect_class, type) and issubclass(effect_class, Effect)):
         return "it is not a class derived from lt.Effect"
     if missing_methods := sorted(getattr(effect_class, "__abstractmethods__", ())):

@@ -1,8 +1,8 @@
 """Phase refractive index of moist air by Ciddor's equation.
 
-Reference: Ciddor, Applied Optics 35 (1996) 1566, with the vapour pressure and the compressibility that the NIST
-Engineering Metrology Toolbox uses (Stone and Zimmerman, NIST; Appendix A). Valid: 300 to 1700 nm, -40 to 100 C,
-100 to 1400 hPa; uncertainty 2e-8.
+Source: Ciddor, Applied Optics 35 (1996) 1566. The vapour pressure and the compressibility follow the NIST Engineering
+Metrology Toolbox (Stone and Zimmerman, NIST; Appendix A). The equation is valid from 300 to 1700 nm, from -40 to 100 C
+and from 100 to 1400 hPa, with an uncertainty of 2e-8.
 """
 
 from functools import lru_cache
@@ -20,7 +20,7 @@ HELIUM_NEON_WAVELENGTH = 633e-9
 
 
 def saturation_vapour_pressure(temperature: Floats) -> Floats:
-    """Saturation pressure [Pa] over water at temperatures [C] (IAPWS-IF97, region 4)."""
+    """Saturation vapour pressure [Pa] over water at the given temperatures [C] (IAPWS-IF97, region 4)."""
     kelvin = temperature + 273.15
     omega = kelvin - 2.38555575678e-1 / (kelvin - 6.50175348448e2)
     a = omega**2 + 1.16705214528e3 * omega - 7.24213167032e5
@@ -30,9 +30,9 @@ def saturation_vapour_pressure(temperature: Floats) -> Floats:
 
 
 def _compressibility(temperature: Floats, pressure: float, water_mole_fraction: Floats) -> Floats:
-    """Compressibility factor of moist air at temperature [C], pressure [Pa] and mole fraction of water vapour.
+    """Compressibility factor of moist air (1 for an ideal gas).
 
-    Source: Ciddor 1996, appendix A.
+    It depends on temperature [C], pressure [Pa] and mole fraction of water vapour. Source: Ciddor 1996, appendix A.
     """
     kelvin = temperature + 273.15
     linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
@@ -87,10 +87,10 @@ def refractivity(
 
 @lru_cache
 def refractive_index_decrease_per_kelvin(temperature: float = 20.0) -> float:
-    """Sensitivity beta = -dn/dT [1/K] of the refractive index n to the temperature, at `temperature` [C].
+    """Decrease beta = -dn/dT [1/K] of the refractive index n of air with the temperature T, at `temperature` [C].
 
-    It is a central difference. Pressure and relative humidity are constant, with the default values of `refractivity`.
-    The amount of water vapour therefore increases with the temperature.
+    The derivative is a central difference at constant pressure and relative humidity (the default values of
+    `refractivity`). The amount of water vapour therefore increases with the temperature.
     """
     warm, cold = (float(refractivity(np.array(temperature + d))) for d in (0.5, -0.5))
     return cold - warm

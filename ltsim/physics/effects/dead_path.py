@@ -9,24 +9,25 @@ from ltsim.scene.sightings import Sightings
 
 AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Name of the column of a recording with the air temperature [C] of each pointing."""
-MIN_TEMPERATURE_RANGE = 0.05
-"""Difference [K] between the highest and the lowest temperature in a recording, up to which the effect is not tried
-because it cannot be estimated."""
+MIN_AIR_TEMPERATURE_RANGE = 0.05
+"""Difference [K] between the highest and the lowest air temperature of a recording, up to which a diagnosis does not
+try the effect because it cannot be estimated."""
 
 
 class DeadPath(Effect):
     """Dead path: a part of the reference path inside the head warms up with the air, and ranges are not corrected.
 
-    Delta_d = k (T - T_0), T the recorded air temperature, T_0 the one at the first pointing. For an interferometer
-    k = -beta D_0, with beta = 0.955 ppm/K the change of the refractive index of air and D_0 the length of the path. For
-    an absolute distance meter k is a property of its fibre.
+    The correction (true value minus reading) of the range is Delta_d = k (T - T_0), with the recorded air temperature T
+    and its value T_0 at the first pointing. For an interferometer k = -beta D_0, with the decrease beta = 0.955 ppm/K
+    of the refractive index of air and the length D_0 of the path inside the head. For an absolute distance meter k is a
+    property of its fibre.
 
     Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
-    Like: range-drift, if the temperature changes steadily with time.
+    Similar to: range-drift, if the temperature changes steadily with time.
     Separate by: a new homing of the interferometer; both distance modes along the same line.
-    Valid: recordings with the column air_temperature_c, whose values must vary.
+    Validity: recordings with the column air_temperature_c, whose values must vary.
     Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
-    Status: validated on a temperature column; the size is general knowledge.
+    Validation: validated on a temperature column; the size is general knowledge.
     """
 
     name = "dead-path"
@@ -40,12 +41,12 @@ class DeadPath(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """List of this effect if the recorded temperature varies; otherwise empty, and a diagnosis does not try it."""
+        """Effects that a diagnosis tries: the dead path if the recorded air temperature varies, otherwise none."""
         temperature = sightings.covariates.get(AIR_TEMPERATURE_COLUMN)
         varies = (
             temperature is not None
             and np.isfinite(temperature).any()
-            and np.nanmax(temperature) - np.nanmin(temperature) > MIN_TEMPERATURE_RANGE
+            and np.nanmax(temperature) - np.nanmin(temperature) > MIN_AIR_TEMPERATURE_RANGE
         )
         return [cls()] if varies else []
 

@@ -6,9 +6,9 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 
 
 def constant_half_basis(readings: Floats) -> Floats:
-    """Values 0.5 of a constant basis function at n raw readings `readings` (n, 3), shape (n,).
+    """Values (n,) of a constant basis function at n raw readings `readings` (n, 3): 0.5 for each.
 
-    The beam shifts by half the shift of the return spot on the detector.
+    The factor 0.5 holds because the beam shifts by half the shift of the return spot on the detector.
     """
     return np.full(len(readings), 0.5)
 
@@ -16,18 +16,18 @@ def constant_half_basis(readings: Floats) -> Floats:
 class DetectorOffset(ChainErrorEffect):
     """Null offset of the tracking detector: the return spot is held off centre, and the beam misses the vertex.
 
-    The corrections are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f eps_z / 2 upward, with the
-    offset (eps_y, eps_z) of the return spot and f = +1 on face 1 and -1 on face 2. The effect equals a beam offset of
-    half the size.
+    The corrections (true value minus reading) are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f
+    eps_z / 2 upward. Here (eps_y, eps_z) is the offset of the return spot, and f is +1 in face 1 and -1 in face 2. The
+    effect equals a beam offset of half the size.
 
     Size: under 1 um in a good tracker, 5 to 20 um in a bad one.
-    Like: beam-offset, exactly.
+    Similar to: beam-offset, exactly.
     Separate by: another reflector (coating, size, dirt) or a log of the returned power, which do not change a beam
     offset.
-    Valid: one kind of reflector, a constant offset.
+    Validity: one kind of reflector, a constant offset.
     Source: general knowledge. The factor one half follows because a retroreflector returns the beam mirrored at its
     vertex.
-    Status: validated against the beam offset.
+    Validation: validated against the beam offset.
     """
 
     name = "detector-offset"
@@ -35,8 +35,10 @@ class DetectorOffset(ChainErrorEffect):
     observables = ("azimuth", "elevation")
     covariates = ("distance",)
     parameters = (
-        Parameter("detector-offset-lateral", "um", "null offset along the transit axis", 20 * MICROMETRE),
-        Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
+        Parameter("detector-offset-lateral", "um", "offset of the return spot along the transit axis", 20 * MICROMETRE),
+        Parameter(
+            "detector-offset-vertical", "um", "offset of the return spot across the transit axis", 20 * MICROMETRE
+        ),
     )
     terms = (
         ChainErrorTerm("beam-lateral", constant_half_basis),

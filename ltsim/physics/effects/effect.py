@@ -1,24 +1,24 @@
-"""Interface of an effect: the base class that simulator, calibrator, planner and diagnosis share.
+"""Base class of the effects of the catalogue, which simulator, calibrator, planner and diagnosis use.
 
-An effect is one physical cause of a difference between the ideal reading and the reading of the instrument. Simulator,
-calibrator, planner and diagnosis use the same object:
+An effect is one physical cause of a difference between the ideal reading and the reading of the instrument. It has
+these properties and methods:
 
-* `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
+* `parameters`: name, unit, meaning and prior of each parameter. Effects are linear in their parameters.
 * `design(sightings)` (n, 3, p): change of the raw readings of n pointings (range [m], azimuth, elevation [rad]) per
-  unit of each of the p parameters. Calibrator, planner and diagnoser need nothing else.
+  unit of each of the p parameters. Calibrator, planner and diagnosis need nothing else.
 * `reading_change(sightings, values)` (n, 3): exact change of the readings, which the simulator adds. By default it is
   the design times the values. An effect that is not exactly linear, such as a ray through a temperature field,
   overrides this method.
 * `shape_parameters`: constants that enter nonlinearly, such as a time constant or a wavelength, with bounds. They are
   fields of the instance, and a diagnosis searches their values.
 * `stations`, `targets`: names of the stations and targets where the effect acts, empty for all. `candidates` lists the
-  effects with the stations, targets and constants that a search tries.
+  effects with the stations, targets and shape parameters that a search tries.
 
 Conventions of all catalogue entries: Delta = true value - reading is the correction to add to a reading. The change of
-a reading is therefore minus its correction. If a parameter is not a correction, its entry says so. Azimuth az counts
-counter-clockwise seen from above, elevation el from the horizontal plane; d is the range, f is +1 on face 1 and -1 on
-face 2. D_r, D_t, D_v are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and
-d Delta_elevation.
+a reading is therefore minus its correction. If a parameter is not a correction, its entry says so. The azimuth az
+counts counter-clockwise as seen from above, and the elevation el from the horizontal plane. The range is d. The sign f
+is +1 in face 1 and -1 in face 2. D_r, D_t and D_v are lengths along the beam, to its left and upward: Delta_d, d
+cos(el) Delta_azimuth and d Delta_elevation.
 """
 
 from collections import Counter
@@ -45,12 +45,12 @@ from ltsim.physics.effects.linear_effect import (
 from ltsim.scene.sightings import Sightings
 
 CandidateScope = Literal["all", "station", "target", "pointing", "reading"]
-"""Part of the recording in which one candidate of an effect acts: the whole recording, or a single station, target,
-pair of station and target (pointing) or reading."""
+"""Part of the recording in which one instance of an effect acts: the whole recording (`all`), a single station, a
+single target, a pair of station and target (`pointing`), or a single reading."""
 
 
 class LightPathStage(IntEnum):
-    """Stage of the light path at which an effect acts; the simulator applies effects in this order."""
+    """Stage of the light path at which an effect acts; the simulator applies the effects in the order of the stages."""
 
     TARGET = 0
     STATION = 1
@@ -65,47 +65,47 @@ class LightPathStage(IntEnum):
 
 @dataclass(frozen=True)
 class Effect(CandidateEffect):
-    """Base class of all effects of the catalogue: physical causes that change readings (see the module docstring)."""
+    """Base class of the effects of the catalogue: physical causes that change the readings of a tracker."""
 
     stations: tuple[str, ...] = ()
-    """Names of the stations at which the effect acts; empty for all."""
+    """Names of the stations at which the effect acts; empty for all stations."""
     targets: tuple[str, ...] = ()
-    """Names of the targets at which the effect acts; empty for all."""
+    """Names of the targets at which the effect acts; empty for all targets."""
     plausible_size_factor: float = field(default=1.0, kw_only=True)
-    """Factor on the plausible sizes of the parameters; it exceeds 1 for instruments that are less accurate than a
-    tracker."""
+    """Factor on the plausible sizes of the parameters, above 1 for instruments less accurate than a tracker (total
+    stations)."""
 
     name: ClassVar[str]
     """Name of the effect in the catalogue: lower-case words joined by hyphens."""
     light_path_stage: ClassVar[LightPathStage]
     """Stage of the light path at which the effect acts."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """The p parameters of the effect, in which it is linear."""
+    """The p parameters of the effect; the change of the readings is linear in them."""
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
     """Names of the observables that the effect changes."""
     covariates: ClassVar[tuple[str, ...]] = ()
     """Names of the quantities on which the effect depends, such as `time` or `azimuth`."""
     scope: ClassVar[CandidateScope] = "all"
-    """Part of the recording in which one candidate of the effect acts."""
+    """Part of the recording in which one instance of the effect acts, such as a station (see `CandidateScope`)."""
     may_recur: ClassVar[bool] = False
     """True for an effect that commonly occurs several times in a recording, such as an outlier or a badly seated
     reflector."""
     base_rate: ClassVar[float] = 1.0
     """Relative frequency of the effect in practice, an expert judgement: 8 very common, 4 common, 2 frequent, 1
-    occasional, 0.5 rare. The prior probability that any effect of the catalogue shifts readings is divided among the
-    effects that shift readings, in proportion to their frequencies. The prior probability of a change of the noise is
-    divided in the same way among the noise effects."""
+    occasional, 0.5 rare. The prior probability that any catalogue effect shifts readings is divided among these
+    effects in proportion to their frequencies. The prior probability of a changed noise level is divided in the same
+    way among the noise effects."""
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (p,) of the p parameters [SI], times `plausible_size_factor`."""
+        """Plausible sizes (p,) [SI] of the p parameters, with the factor `plausible_size_factor`."""
         return self.plausible_size_factor * super().plausible_sizes
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: one for each place (see `scope`) and each value of the shape constants.
+        """Effects that a diagnosis tries: one per part of the recording (`scope`) and value of the shape parameters.
 
-        An effect with other candidates, such as change points between two pointings, overrides this method.
+        An effect with other candidates, such as steps between two pointings, overrides this method.
         """
         places: list[dict[str, Any]] = [{}]
         if cls.scope == "station":
@@ -118,11 +118,10 @@ class Effect(CandidateEffect):
 
 
 def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) -> list[str]:
-    """Unique names of the parameters of several effects.
+    """Unique names of the parameters of several effects, such as ``head-sag:sag S2`` for the station S2.
 
-    Each effect is given by its name, the text of the stations and targets where it acts, and the names of its
-    parameters. The results are such as ``head-sag:sag``, ``head-sag:sag S2`` for the station S2, and
-    ``head-sag:sag S2 #2`` for a second equal effect.
+    `effects` are triples: name of the effect, text of the stations and targets where it acts, and names of its
+    parameters. The parameter of a second equal effect gets a number, as in ``head-sag:sag S2 #2``.
     """
     names, counts = list[str](), Counter[str]()
     for effect_name, place_text, parameter_names in effects:
@@ -135,55 +134,56 @@ def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) ->
 
 @dataclass(frozen=True)
 class NoiseEffect(CandidateNoiseEffect, Effect):
-    """Base class of effects that change the noise of readings and not their mean."""
+    """Base class of catalogue effects that change the noise of readings but not their mean."""
 
 
 @dataclass(frozen=True)
 class Blunder(Effect):
-    """Base class of blunders: another point was measured, or a correct reading was recorded wrongly.
+    """Base class of blunders: a wrong point was measured, or a correct reading was recorded wrongly.
 
-    The simulator reproduces the mistake (`measured_sightings`, `recorded_readings`). Instrument errors and noise are
-    therefore those of the measurement that was made, while `design` is the change of an ideal reading. Blunders are
-    corrected before an adjustment, so that a search has no candidates.
+    The simulator reproduces the mistake (`measured_sightings`, `recorded_readings`), with the instrument errors and the
+    noise of the point that was measured. `design` is the change of an ideal reading. Blunders are corrected before an
+    adjustment, so that a search tries none.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Empty list, because a search tries no blunders; `possible_blunders` lists the blunders."""
+        """Empty list, because a search tries no blunders (see `possible_blunders`)."""
         return []
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """All blunders of this kind that are possible in a network."""
+        """All blunders of this class that can occur in a network."""
         raise NotImplementedError
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings with the targets and faces that were measured, which a blunder may have recorded as others."""
+        """Sightings with the measured targets and faces; because of the blunder the recording names other ones."""
         return sightings
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
-        """Readings (n, 3) of n pointings as recorded with the blunder, from the correct readings (n, 3)."""
+        """Readings (n, 3) of n pointings as they are recorded with the blunder, from the correct readings (n, 3)."""
         return readings
 
 
 BasisFunction = Callable[[Floats], Floats]
-"""Function of n raw readings (n, 3) with values (n,), by which a parameter of a geometric error is multiplied."""
+"""Function from n raw readings (n, 3) to n values (n,). A geometric error is such a function times its parameter."""
 
 
 def constant_basis(readings: Floats) -> Floats:
-    """Values (n,) of the constant basis function at n raw readings `readings` (n, 3): 1 for each."""
+    """Values (n,) of the constant basis function at n raw readings `readings` (n, 3): 1 for each reading."""
     return np.ones(len(readings))
 
 
 @dataclass(frozen=True)
 class HarmonicBasis:
-    """Basis function: cosine or sine of a multiple of the azimuth or elevation reading."""
+    """Basis function of a geometric error: cosine or sine of a multiple of the azimuth or elevation reading."""
 
     function: Literal["cos", "sin"]
+    """Function of the angle: `cos` or `sin`."""
     reading_column: int
-    """Column of the angle in the array of readings: 1 azimuth, 2 elevation."""
+    """Column of the angle in an array of readings: 1 for the azimuth, 2 for the elevation."""
     order: float = 1
-    """Factor on the reading: number of periods per turn."""
+    """Factor on the angle: number of periods per turn."""
 
     def __call__(self, readings: Floats) -> Floats:
         """Values (n,) of the basis function at n raw readings (n, 3)."""
@@ -193,9 +193,10 @@ class HarmonicBasis:
 
 @dataclass(frozen=True)
 class RangePowerBasis:
-    """Basis function: a power of the range."""
+    """Basis function of a geometric error: a power of the range."""
 
     exponent: int = 1
+    """Exponent of the range."""
 
     def __call__(self, readings: Floats) -> Floats:
         """Values (n,) of the basis function at n raw readings (n, 3)."""
@@ -204,28 +205,31 @@ class RangePowerBasis:
 
 @dataclass(frozen=True)
 class ChainErrorTerm:
-    """Term of a geometric error: a parameter times a basis function, added to an error of the kinematic chain."""
+    """Term of a geometric error of the instrument: a parameter times a basis function.
 
-    chain_error: str
-    """Key of the error in the kinematic chain, the `error_key` of one of its motions."""
+    The term is added to one of the errors of the kinematic chain.
+    """
+
+    chain_error_key: str
+    """Key of the error in the kinematic chain (`error_key`), such as `beam-tilt`."""
     basis: BasisFunction = constant_basis
-    """Function of the raw readings that multiplies the parameter."""
+    """Basis function: function of the raw readings by which the parameter is multiplied."""
 
 
 @dataclass(frozen=True)
 class ChainErrorEffect(Effect):
-    """Base class of geometric errors of the instrument; each parameter changes one motion of the kinematic chain.
+    """Base class of geometric errors of the instrument: errors of its kinematic chain.
 
-    `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
+    `GeometricErrorModel` evaluates a geometric error exactly; `design` is the first-order form.
     """
 
     terms: ClassVar[tuple[ChainErrorTerm, ...]]
-    """Terms of the error, one per parameter."""
+    """Terms of the geometric error, one per parameter."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)
         columns = [
-            sightings.reading_change_by_error_key[t.chain_error]
+            sightings.reading_change_by_error_key[t.chain_error_key]
             * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms
         ]

@@ -4,18 +4,20 @@ from ltsim.physics.effects.effect import LightPathStage
 
 
 class ElevationHarmonic(CircleHarmonic):
-    """Higher graduation harmonic of the elevation circle: errors of the scale as averaged by its read heads.
+    """Higher graduation harmonic of the elevation circle: the lines of its scale are not evenly spaced.
 
-    Delta_elevation = A cos(m x) + B sin(m x), x the raw elevation, m from 3 up. In front-face values the cosine changes
-    its sign with the face for even m, the sine for odd m.
+    The correction (true value minus reading) is Delta_elevation = A cos(m x) + B sin(m x), with the raw elevation x,
+    the order m from 3 up, and the parameters A and B. Reduced to face 1, the cosine term changes its sign with the face
+    for even m, the sine term for odd m.
 
     Size: 0.2 urad in a good circle, 2 urad in a bad one.
-    Like: noise and errors of single targets; harmonics of the next orders, because a network covers only 110 deg.
+    Similar to: noise and errors of single targets; harmonics of the next orders, because the elevations of a network
+    cover only 110 deg.
     Separate by: two faces; more elevations.
-    Valid: m up to 8.
+    Validity: m up to 8.
     Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of angle encoders, CIRP Annals 59,
     529-534.
-    Status: validated against the exact chain in first order, face parity and sign.
+    Validation: validated against the exact chain in first order, face parity and sign.
     """
 
     name = "elevation-harmonic"

@@ -24,33 +24,34 @@ CANDIDATE_SIGNAL_PERIODS = (
     32_768,
     36_000,
 )
-"""Numbers of signal periods per turn that encoders on the market have, and that a search tries: powers of two, and
-whole fractions of a degree."""
+"""Numbers of signal periods per turn that a search tries, because encoders on the market have them: powers of two,
+and whole fractions of a degree."""
 
 
 @dataclass(frozen=True)
 class EncoderInterpolation(ChainErrorEffect):
     """Interpolation error of an encoder: the signal between two lines of the scale is not an exact sine.
 
-    Delta = A cos(N x) + B sin(N x) on one circle, with x its raw reading and N = 1e3 to 1e5 the signal periods per
-    turn. The error resembles white noise of that angle, but it is the same if the same angle is read again.
+    The correction (true value minus reading) of the raw reading x of one circle is Delta = A cos(N x) + B sin(N x).
+    Here N = 1e3 to 1e5 is the number of signal periods per turn, and A and B are the parameters. The error resembles
+    white noise of that angle, but it is the same if the same angle is read again.
 
     Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
-    Like: white noise of that angle.
+    Similar to: white noise of that angle.
     Separate by: a repeat with the base turned by a known fraction of the period; a target moved in small steps along an
     arc.
-    Valid: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings cannot
-    determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N = 36
-    000. The phase is therefore computed from readings that include the instrument's errors.
+    Validity: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings
+    cannot determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N
+    = 36 000. The phase is therefore computed from readings that include the instrument's errors.
     Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
     error); sizes are general knowledge.
-    Status: validated against the exact chain for N up to 36 000.
+    Validation: validated against the exact chain for N up to 36 000.
     """
 
     circle: Literal["azimuth", "elevation"] = "azimuth"
-    """Circle of the encoder."""
+    """Circle whose encoder has the error."""
     periods: int = 36_000
-    """Signal periods of the encoder per turn."""
+    """Number of signal periods of the encoder per turn."""
 
     name = "encoder-interpolation"
     base_rate = 0.5
@@ -69,6 +70,6 @@ class EncoderInterpolation(ChainErrorEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: both circles with each number of periods in `CANDIDATE_SIGNAL_PERIODS`."""
+        """Effects that a diagnosis tries: each number of periods in `CANDIDATE_SIGNAL_PERIODS`, for both circles."""
         circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
         return [cls(circle=circle, periods=n) for circle in circles for n in CANDIDATE_SIGNAL_PERIODS]

@@ -16,17 +16,17 @@ class FaceConfusion(Blunder):
     and the elevation is 180 deg minus the expected value.
 
     Size: metres: a point lands behind the tracker.
-    Like: nothing.
+    Similar to: nothing.
     Separate by: no measurement is needed, because the raw elevation shows the face.
-    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
-    `candidates` is empty and `possible_blunders` lists the possible blunders.
+    Validity: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so
+    that `candidates` is empty and `possible_blunders` lists the possible blunders.
     Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
     Vermessungstechnik.
-    Status: validated: the blunder applied twice restores the reading.
+    Validation: validated: the blunder applied twice restores the reading.
     """
 
     face: int = 2
-    """Face, 1 or 2, whose pointings are stored as the other face."""
+    """Face, 1 or 2, in which the affected pointings are stored; they were measured in the other face."""
 
     name = "face-confusion"
     light_path_stage = LightPathStage.ELECTRONICS
@@ -37,11 +37,11 @@ class FaceConfusion(Blunder):
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders of this kind: pointings in face 1, or in face 2, of each station."""
+        """Exchanged faces that can occur: at each station, the pointings stored in face 1 or those stored in face 2."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings with the other face in the affected pointings."""
+        """Sightings in which the affected pointings have the face in which they were measured."""
         confused = (self.pointing_indicator(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 

@@ -9,16 +9,16 @@ from ltsim.scene.sightings import Sightings
 class GaugeScale(Effect):
     """Scale error of the gauge: its temperature or its expansion coefficient is wrong.
 
-    True length = declared length (1 + s), with the scale error s. A declared length L changes by -s L. No reading
-    changes.
+    True length = declared length (1 + s), with the scale error s. A gauge is a set of reflectors at known distances. A
+    declared length L changes by -s L. No reading changes.
 
     Size: 8 ppm if the tabulated coefficient of aluminium is wrong by 5 % and the temperature differs by 7 K from the
     reference; 23 ppm for an error of 1 K of the temperature of an aluminium gauge.
-    Like: range-scale, a wrong refractive index at all stations, and a uniform warming of all targets, exactly.
+    Similar to: range-scale, a wrong refractive index at all stations, and a uniform warming of all targets, exactly.
     Separate by: a thermometer on the gauge; a bar of another material; a specification of the range scale.
-    Valid: all known lengths share one gauge.
+    Validity: all known lengths share one gauge.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.
-    Status: validated on the known lengths.
+    Validation: validated on the known lengths.
     """
 
     name = "gauge-scale"

@@ -13,23 +13,24 @@ from ltsim.scene.sightings import Sightings
 class GaugeShape(Effect):
     """Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
 
-    One nest moved by D after the lengths were determined: true length = declared length + D . u, with the unit vector u
-    from the other end of the length towards the nest. The parameters are the motion of the nest in the network frame
-    (no correction of a reading). No reading changes, because the readings refer to the present position.
+    A gauge is a set of reflectors at known distances. If one nest moved by D after the lengths were determined, then
+    true length = declared length + D . u, with the unit vector u from the other end of the length towards the nest. The
+    parameters are the motion of the nest in the network frame (no correction of a reading). No reading changes, because
+    the readings refer to the present position.
 
     Size: a difference of 1 K across a frame 20 mm thick with nests 40 mm above it changes 590 mm by 28 um; a nest moves
     by 5 to 50 um.
-    Like: smr-centring or dirt in the gauge's nest.
+    Similar to: smr-centring or dirt in the gauge's nest.
     Separate by: a new determination of the gauge's lengths; exchanged reflectors.
-    Valid: motions that are small compared with the lengths; a bend out of the plane of a flat gauge does not change its
-    lengths.
+    Validity: motions that are small compared with the lengths; a bend out of the plane of a flat gauge does not change
+    its lengths.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the
     machine that measured it).
-    Status: validated against moved points on the known lengths.
+    Validation: validated against moved points on the known lengths.
     """
 
     target_index: int = 0
-    """Index of the target in the network whose nest moved."""
+    """Index, among the targets of the network, of the target whose nest moved."""
 
     name = "gauge-shape"
     light_path_stage = LightPathStage.TARGET
@@ -41,7 +42,7 @@ class GaugeShape(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries, one per target; effects without influence are dropped later."""
+        """Moved nests that a diagnosis tries, one per target; it drops those that change no known length."""
         return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -1,11 +1,11 @@
-"""Linear effects: changes of the readings, linear in parameters that an adjustment estimates with the network.
+"""Linear effects: changes of the readings that are linear in parameters, which an adjustment estimates.
 
 `LinearEffect` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
-`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search that compares effects, and
+`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search that compares effects.
 `CandidateNoiseEffect` is a change of the variance of the readings. An effect of the catalogue (`effects.effect.Effect`)
-is a `CandidateEffect` with a physical cause that has a name.
+is a `CandidateEffect` with a known physical cause.
 
-Sign: a parameter is a correction, true value - reading; the change of a reading is therefore its negative.
+Sign: a parameter is a correction, true value - reading. The change of a reading by the effect is minus this correction.
 """
 
 from abc import abstractmethod
@@ -21,31 +21,37 @@ from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
 SpecifiedQuantity = Literal["angle", "offset", "range_scale", "range_offset"]
-"""Quantity for which an instrument's specification states a standard deviation, the prior one of parameters."""
+"""Quantity of an instrument for which its specification states a standard deviation: the prior standard deviation of
+all parameters that belong to the quantity."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of an effect, with display unit, description and prior."""
+    """Parameter of an effect (such as a beam tilt), with display unit, description and prior standard deviation."""
 
     name: str
+    """Name of the parameter, unique within its effect."""
     unit: str
-    """Display unit, a key of `units.SI_PER_UNIT`; values are in SI units."""
+    """Display unit, a key of `units.SI_PER_UNIT`; all computations use SI units."""
     description: str
     """Description for users, such as `delay of the range`."""
     prior_sigma: float
-    """Prior standard deviation [SI] if the specification of the instrument gives none; also the plausible size of the
-    parameter in a search."""
+    """Prior standard deviation [SI] if the specification of the instrument states none. A search uses it as
+    plausible size of the parameter."""
     specified_quantity: SpecifiedQuantity | None = None
-    """Quantity of the instrument's specification whose standard deviation is the prior one, such as an angle.
+    """Quantity (such as `angle`) whose standard deviation in the instrument's specification is the prior standard
+    deviation of the parameter.
 
     If None, the prior standard deviation is `prior_sigma`.
     """
     is_nonnegative: bool = False
-    """True if the parameter is never negative, such as a thickness."""
+    """True if the parameter cannot be negative (such as a thickness)."""
 
     def prior_sigma_from(self, prior: Prior) -> float:
-        """Prior standard deviation [SI] from the specification `prior`, or `prior_sigma` if it states none."""
+        """Prior standard deviation [SI] from the instrument's specification `prior`.
+
+        It is `prior_sigma` if the specification states none for this parameter.
+        """
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.si_per_display_unit
         if self.specified_quantity is None:
@@ -64,9 +70,10 @@ class Parameter:
 
 
 def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) -> tuple[Parameter, ...]:
-    """Parameters `name-x`, `name-y` and `name-z` along or about the axes of the network frame, with the display `unit`.
+    """Parameters `name-x`, `name-y` and `name-z`: motions along, or rotations about, the axes of the network frame.
 
-    `description` is the description without the axis, `prior_sigma` the prior standard deviation [SI] of each.
+    `unit` is the display unit, `description` the description without the axis, and `prior_sigma` the prior standard
+    deviation [SI] of each parameter.
     """
     return tuple(
         Parameter(f"{name}-{axis}", unit, f"{description} the network's {axis} axis", prior_sigma) for axis in "xyz"
@@ -75,30 +82,32 @@ def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) 
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """Constant that enters an effect nonlinearly: a field of the effect, searched between bounds."""
+    """Shape parameter: a constant (period, time constant, onset time) on which the readings depend nonlinearly.
+
+    A shape parameter is a field of its effect. A search tries values between two bounds.
+    """
 
     name: str
-    """Name of the field of the effect."""
+    """Name of the shape parameter, and of the field of the effect with its value."""
     unit: str
     """Display unit, a key of `units.SI_PER_UNIT`."""
     description: str
     """Description for users, such as `width of the transition`."""
     lower_bound: float
-    """Smallest value [SI] of the search."""
+    """Smallest value [SI] that a search tries."""
     upper_bound: float
-    """Largest value [SI] of the search."""
+    """Largest value [SI] that a search tries."""
     has_logarithmic_grid: bool = False
-    """True if the grid of the search is evenly spaced in the logarithm."""
+    """True if the values that a search tries are evenly spaced in their logarithm."""
     n_grid_values: int = 9
-    """Number of values on the grid."""
+    """Number of values that a search tries."""
     has_reciprocal_grid: bool = False
-    """True if the grid of the search is evenly spaced in the reciprocal."""
+    """True if the values that a search tries are evenly spaced in their reciprocal (such as wavelengths)."""
 
     def grid_values(self) -> Floats:
-        """Values (n_grid_values,) [SI] between the bounds that a search tries.
+        """Values (n_grid_values,) [SI] of the shape parameter, from bound to bound, that a search tries.
 
-        They are evenly spaced in the value, in its logarithm (`has_logarithmic_grid`), or in its reciprocal
-        (`has_reciprocal_grid`, as for a wavelength).
+        They are evenly spaced, in the logarithm if `has_logarithmic_grid`, in the reciprocal if `has_reciprocal_grid`.
         """
         if self.has_reciprocal_grid:
             return 1.0 / np.linspace(1.0 / self.upper_bound, 1.0 / self.lower_bound, self.n_grid_values)
@@ -107,7 +116,7 @@ class ShapeParameter:
         return np.linspace(self.lower_bound, self.upper_bound, self.n_grid_values)
 
     def neighbouring_grid_interval(self, value: float) -> tuple[float, float]:
-        """Interval (lower, upper) [SI] from one grid step below `value` to one grid step above, within the bounds."""
+        """Interval (lower, upper) [SI] around `value`, one grid step to either side, within the bounds."""
         grid = np.sort(self.grid_values())
         if len(grid) < 2:
             return value, value
@@ -119,21 +128,23 @@ class ShapeParameter:
 
 
 class Linearisation(NamedTuple):
-    """Change of the readings by an effect at given parameter values, with its derivatives."""
+    """Change of the readings by an effect for given values of its parameters, with the derivatives of this change."""
 
     reading_change: Floats
-    """Change (n, 3) of the raw readings of n pointings."""
+    """Change (n, 3) [m, rad, rad] of the raw readings of n pointings by the effect."""
     parameter_derivatives: Floats
-    """Derivative (n, 3, p) of the change of the readings of n pointings with respect to the p parameters."""
+    """Derivatives (n, 3, p) of the change of the readings in n pointings with respect to the p parameters of the
+    effect."""
     geometry_derivatives: tuple[Floats, Floats] | None = None
-    """Derivatives of the change in n pointings by target coordinates (n, 3, 3) and station motion (n, 3, 6).
+    """Derivatives of the change of the readings of n pointings with respect to target coordinates (n, 3, 3) and to
+    station motions (n, 3, 6).
 
-    None if these derivatives are neglected, as for all changes that are small compared with the distance.
+    None if these derivatives are neglected, because the change is small compared with the distance.
     """
 
 
 class LinearEffect(Protocol):
-    """Interface of a change of the readings that is linear in its parameters, at least to first order."""
+    """Interface of an effect: a change of the readings that is, at least to first order, linear in its parameters."""
 
     @property
     @abstractmethod
@@ -143,11 +154,11 @@ class LinearEffect(Protocol):
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """The p parameters of the effect; the `prior_sigma` of each is the value for a large but plausible effect."""
+        """The p parameters of the effect. The `prior_sigma` of each is its value for a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings of n pointings per unit of each of p parameters.
+        """Derivatives (n, 3, p) of the raw readings of n pointings with respect to the p parameters [SI].
 
         The readings are range [m], azimuth and elevation [rad].
         """
@@ -168,28 +179,28 @@ class LinearEffect(Protocol):
         return ()
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings of n pointings for the values (p,) [SI] of the p parameters."""
+        """Change (n, 3) [m, rad, rad] of the raw readings of n pointings for values (p,) [SI] of p parameters."""
         return self.design(sightings) @ parameter_values
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
-        """Change of the readings at the values (p,) [SI] of the p parameters, with its derivatives."""
+        """Change of the readings of n pointings for the values (p,) [SI] of the p parameters, with its derivatives."""
         return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Change (g, p) [m] of g reference lengths per unit of each of p parameters.
+        """Derivatives (g, p) of g known lengths with respect to the p parameters.
 
-        It is zero unless the effect changes lengths. `first_targets` and `second_targets` (g,) are the indices of the
-        targets at the ends of the lengths, `points` (T, 3) [m] are the coordinates of all T targets.
+        They are zero for effects that change only readings. `first_targets` and `second_targets` (g,) are the indices
+        of the targets at the ends of the lengths. `points` (T, 3) [m] are the coordinates of all T targets.
         """
         return np.zeros((len(first_targets), len(self.parameters)))
 
     @property
     def place_text(self) -> str:
-        """Names of the stations and targets at which the effect acts, separated by commas; empty if it acts at all."""
+        """Names of the stations and targets where the effect acts, separated by commas; empty for all."""
         return ",".join(self.stations + self.targets)
 
     def pointing_indicator(self, sightings: Sightings) -> Floats:
-        """Indicator (n,) of n pointings: 1 for pointings whose readings the effect changes, 0 for others."""
+        """Indicator (n,) of the pointings on which the effect acts: 1 for these, 0 for the others of n pointings."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _has_permitted_name(sightings.station, sightings.station_indices_by_name, self.stations)
@@ -201,21 +212,22 @@ class LinearEffect(Protocol):
 def _has_permitted_name(
     name_indices: Ints, indices_by_name: Mapping[str, Sequence[int]], permitted_names: Sequence[str]
 ) -> Bools:
-    """Flags (n,) of the n station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
+    """Mask (n,) of the station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
 
-    `indices_by_name` has the indices that belong to each name.
+    `indices_by_name` has the indices of the stations or targets with each name.
     """
     ids = [i for name in permitted_names for i in indices_by_name.get(name, ())]
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
 class CandidateEffect(LinearEffect, Protocol):
-    """Interface of an effect that a search compares with other candidates; it may have nonlinear constants."""
+    """Interface of an effect that a search compares with other effects; it may have shape parameters."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
-    """Constants on which the effect depends nonlinearly; each is a field of the instance."""
+    """Shape parameters (period, time constant, onset time) of the effect; the value of each is a field of the
+    instance."""
     n_neighbour_directions: ClassVar[int] = 1
-    """Number of constants, or of coordinates, that `neighbours` varies independently of each other."""
+    """Number of shape parameters or coordinates that `neighbours` varies independently of each other."""
 
     @property
     @abstractmethod
@@ -228,33 +240,36 @@ class CandidateEffect(LinearEffect, Protocol):
         """Names of the quantities on which the effect depends, such as `time` or `azimuth`."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
-        """Similar effects, with slightly changed constants, that a search tries if this effect is significant."""
+        """Copies of the effect with slightly changed shape parameters, which a local search tries."""
         return ()
 
     @property
     def region_centre(self) -> tuple[float, ...]:
-        """Coordinates [m] of the centre of the region of the hall where the effect acts, network frame.
+        """Centre [m] of the region of the hall where the effect acts, in the network frame.
 
-        Empty for an effect that is not confined to a region.
+        Empty for an effect that is not confined to a region of the hall.
         """
         return ()
 
     @property
     def region_centre_axes(self) -> str:
-        """Axes of the coordinates of `region_centre`, such as `xyz`."""
+        """Axes of the coordinates in `region_centre`, such as `xyz`, or `xy` for a vertical column."""
         return "xyz"[: len(self.region_centre)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy of the effect with its region of the hall centred at `centre` [m]; the effect itself if it has none."""
+        """Copy of the effect whose region of the hall has its centre at `centre` [m].
+
+        An effect without such a region is returned itself.
+        """
         return self
 
-    def with_constants(self, **constants: Any) -> Self:
-        """Copy of the effect with other values of its constants, which are fields of the dataclass."""
+    def with_shape_parameters(self, **constants: Any) -> Self:
+        """Copy of the effect with other values of the given shape parameters, which are fields of the dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]
 
 
 class CandidateNoiseEffect(CandidateEffect, Protocol):
-    """Change of the noise of readings: its parameters are added variances or factors on variances.
+    """Interface of a change of the noise: its parameters are added variances or factors on variances.
 
     The mean of the readings does not change.
     """
@@ -265,14 +280,14 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the readings of n pointings with the declared standard deviations `sigma` (n, 3).
+        """Variance (n, 3) of the readings of n pointings, from their declared standard deviations `sigma` (n, 3).
 
-        `parameter_values` (p,) [SI] are the values of the p parameters. The variance must be sigma^2 if all are zero,
-        and each reading must depend on at most one parameter.
+        `parameter_values` (p,) [SI] are the values of the p parameters. If all are zero, the variance must be sigma^2.
+        Each reading must depend on at most one parameter.
         """
 
     def candidate_parameter_values(self) -> list[tuple[float, ...]]:
-        """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
+        """Parameter values [SI] that a diagnosis tries: six sizes of each parameter alone and of all together."""
         n_parameters = len(self.parameters)
         subsets = [*np.eye(n_parameters), *([np.ones(n_parameters)] if n_parameters > 1 else [])]
         return [
@@ -282,7 +297,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         ]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change of the mean of the readings of n pointings per unit of each of p parameters: zeros (n, 3, p)."""
+        """Derivatives (n, 3, p) of the mean readings of n pointings with respect to the p parameters: zeros."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
@@ -293,11 +308,11 @@ def design_from_front_face_corrections(
     azimuth: Floats | float = 0.0,
     elevation: Floats | float = 0.0,
 ) -> Floats:
-    """Change (n, 3) or (n, 3, p) of raw readings of n pointings from corrections (n,) or (n, p) of front-face readings.
+    """Change (n, 3) or (n, 3, p) of the raw readings of n pointings from corrections of readings reduced to face 1.
 
-    `distance` [m], `azimuth` and `elevation` [rad] are corrections, true value minus reading, or their values for each
-    of p parameters. A reading changes by minus its correction. On the back face the sign of the elevation is reversed,
-    because its raw value decreases.
+    `distance` [m], `azimuth` and `elevation` [rad] are corrections (true value minus reading), (n,), or their
+    derivatives (n, p) with respect to p parameters. A reading changes by minus its correction. In face 2 the sign of
+    the elevation is reversed, because the raw elevation decreases there.
     """
     corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
     design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
@@ -308,7 +323,10 @@ def design_from_front_face_corrections(
 
 
 def design_from_displacements(sightings: Sightings, displacement: Floats) -> Floats:
-    """Change (n, 3, p) of the readings of n pointings by displacements (n, 3, p) [m] of targets by p parameters."""
+    """Derivatives (n, 3, p) of the readings of n pointings with respect to p parameters that displace targets.
+
+    `displacement` (n, 3, p) [m] are the derivatives of the displacement of the target in each pointing.
+    """
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
         return sightings.target_derivatives @ displacement
@@ -317,13 +335,14 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
     return change
 
 
-def n_parameters_and_constants(effect: CandidateEffect) -> int:
-    """Number of parameters of an effect plus the number of constants (of shape and position) among its fields."""
+def n_parameters_and_shape_parameters(effect: CandidateEffect) -> int:
+    """Number of parameters of an effect plus the number of its shape parameters; a position counts as three."""
     constants = (value for name, value in vars(effect).items() if name != "plausible_size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 
 def _is_number(value: object) -> bool:
+    """True for an integer or a float, False for a bool and any other type."""
     return isinstance(value, float) or (
         isinstance(value, tuple) and all(isinstance(v, float) for v in value) and value != ()
     )

@@ -11,31 +11,31 @@ from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
 AXIS_WEIGHTS_BY_EXPANSION_MODE = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
-"""Weights of the thermal expansion along x, y and z, by the name of the mode of expansion."""
+"""Weights (3,) of the thermal expansion along x, y and z by the mode of expansion, `uniform` or `vertical`."""
 
 
 @dataclass(frozen=True)
 class MeshExpansion(TargetDisplacementEffect):
     """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
-    P(t) = P + a t A (P - centroid), with the target's coordinates P, the time t since the first pointing, and A = 1
+    The coordinates of a target are P(t) = P + a t A (P - centroid), with the time t since the first pointing, and A = 1
     (uniform) or diag(0, 0, 1) (vertical). The parameter is the growth rate a of the structure (no correction of a
     reading).
 
     Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
-    Like: refractivity-drift and station-weather (uniform mode, exactly if it grows only between stations), range-drift
-    (correlation 0.955).
+    Similar to: refractivity-drift and station-weather (uniform mode, exactly if it grows only between stations),
+    range-drift (correlation 0.955).
     Separate by: thermometers on the structure; a gauge of another material measured from each station; a repeat of the
     first station.
-    Valid: growth that is linear in time. The choice of the fixed point does not matter, because poses absorb a common
-    motion.
+    Validity: growth that is linear in time. The choice of the fixed point does not matter, because poses absorb a
+    common motion.
     Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived
     here.
-    Status: first order validated against the exact motion, and against the range scale drift in the network.
+    Validation: first order validated against the exact motion, and against the range scale drift in the network.
     """
 
     mode: Literal["uniform", "vertical"] = "uniform"
-    """Mode of the expansion: equal along all axes, or vertical only."""
+    """Mode of the expansion: `uniform` (equal along all axes) or `vertical`."""
 
     name = "mesh-expansion"
     base_rate = 2.0
@@ -45,7 +45,7 @@ class MeshExpansion(TargetDisplacementEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: uniform expansion, and vertical expansion."""
+        """Expansions that a diagnosis tries: a uniform one and a vertical one."""
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:

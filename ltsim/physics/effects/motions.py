@@ -1,4 +1,4 @@
-"""Changes of readings by motions of targets or stations, exact and to first order, with base classes for effects."""
+"""Changes of readings by motions of targets or stations, exact and to first order, and base classes of such effects."""
 
 from dataclasses import dataclass, replace
 
@@ -12,22 +12,23 @@ from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
 
 
-def exact_change_by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
-    """Exact change (n, 3) of the raw readings of n pointings if their targets are displaced by `displacement`.
+def reading_change_by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
+    """Exact change (n, 3) of the raw readings of n pointings by a displacement of their targets.
 
-    The displacement (n, 3) [m] is in the network frame.
+    `displacement` (n, 3) [m] is the displacement of the target of each pointing in the network frame.
     """
     return reading_change_by_target_positions(
         sightings, _sightings_with_displaced_targets(sightings, displacement).local_points
     )
 
 
-def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
-    """Exact change (n, 3) of the raw readings of n pointings by `motion` (n, 6) of the station of each pointing.
+def reading_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
+    """Exact change (n, 3) of the raw readings of n pointings by a motion of their stations.
 
-    A motion is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
+    `motion` (n, 6) is a translation [m] and a rotation vector [rad] about the station's origin, for each pointing, in
+    the network frame.
     """
-    return reading_change_by_target_positions(sightings, _apparent_sightings(sightings, motion).local_points)
+    return reading_change_by_target_positions(sightings, _sightings_from_moved_stations(sightings, motion).local_points)
 
 
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
@@ -40,11 +41,11 @@ def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats
     )
 
 
-def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
-    """Sightings with the reflectors at their apparent positions, as seen from stations that moved.
+def _sightings_from_moved_stations(sightings: Sightings, motion: Floats) -> Sightings:
+    """Sightings with the reflectors where they appear, relative to the unmoved stations, from stations that moved.
 
-    `motion` (n, 6) is the motion of the station of each of n pointings: a translation [m] and a rotation vector [rad],
-    both in the network frame.
+    `motion` (n, 6) is the motion of the station of each of n pointings: a translation [m] and a rotation vector [rad]
+    in the network frame.
     """
     inverse_rotations = np.swapaxes(matrix_from_rotation_vector(motion[:, 3:]), 1, 2)
     apparent = np.einsum("nij,nj->ni", inverse_rotations, sightings.sight_vectors - motion[:, :3])
@@ -54,10 +55,10 @@ def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
 def _linearised_change(
     sightings: Sightings, apparent_sightings: Sightings, displacement_derivatives: Floats
 ) -> Linearisation:
-    """Change of the readings by a displacement of the apparent positions of reflectors, with its derivatives.
+    """Change of the readings by displaced apparent positions of the reflectors, with its derivatives.
 
     `apparent_sightings` have the displaced positions. `displacement_derivatives` (n, 3, p) are the derivatives of the
-    change of n pointings with respect to the p parameters.
+    displacement in n pointings with respect to the p parameters.
     """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
@@ -69,14 +70,14 @@ def _linearised_change(
 
 
 def station_motion_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of the readings of n pointings per translation of 1 m and rotation of 1 rad of the station."""
+    """Derivatives (n, 3, 6) of the readings of n pointings with respect to translation and rotation of the station."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change_by_target_positions(sightings: Sightings, local_points: Floats) -> Floats:
-    """Change (n, 3) of the readings of n pointings if their targets are at `local_points` (n, 3) [m].
+    """Change (n, 3) of the readings of n pointings if their targets are at the positions `local_points` (n, 3) [m].
 
-    The points are in the frame of the instrument.
+    The positions are in the frame of the instrument.
     """
     change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
@@ -84,17 +85,20 @@ def reading_change_by_target_positions(sightings: Sightings, local_points: Float
 
 
 class TargetDisplacement(LinearEffect):
-    """Base class of linear effects that displace targets or their apparent positions; `reading_change` is exact."""
+    """Base class of linear effects that displace targets or their apparent positions.
+
+    The change of the readings is exact, not only linear in the displacement.
+    """
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, p) [m] of the targets of n pointings, network frame, per unit of each of p parameters."""
+        """Derivatives (n, 3, p) of the target's position in n pointings by the p parameters, network frame."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
         return design_from_displacements(sightings, self.displacement(sightings))
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        return exact_change_by_displacement(sightings, self.displacement(sightings) @ parameter_values)
+        return reading_change_by_displacement(sightings, self.displacement(sightings) @ parameter_values)
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
@@ -104,7 +108,7 @@ class TargetDisplacement(LinearEffect):
 
 @dataclass(frozen=True)
 class TargetDisplacementEffect(TargetDisplacement, Effect):
-    """Base class of catalogue effects that move targets or change their apparent positions."""
+    """Base class of catalogue effects that displace targets or their apparent positions."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,9 @@ class StationMotionEffect(Effect):
     """Base class of catalogue effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of the station of each of n pointings, per unit of each of p parameters.
+        """Derivatives (n, 6, p) of the station's motion in n pointings with respect to the p parameters.
 
-        A motion is a translation [m] and a rotation vector [rad] in the network frame.
+        A motion is a translation [m] and a rotation vector [rad] about the station's origin, in the network frame.
         """
         raise NotImplementedError
 
@@ -122,9 +126,9 @@ class StationMotionEffect(Effect):
         return station_motion_design(sightings) @ self.motion(sightings)
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        return exact_change_by_station_motion(sightings, self.motion(sightings) @ parameter_values)
+        return reading_change_by_station_motion(sightings, self.motion(sightings) @ parameter_values)
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         motion = self.motion(sightings)
-        apparent = _apparent_sightings(sightings, motion @ parameter_values)
+        apparent = _sightings_from_moved_stations(sightings, motion @ parameter_values)
         return _linearised_change(sightings, apparent, station_motion_design(apparent) @ motion)

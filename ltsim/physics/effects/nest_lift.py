@@ -10,33 +10,32 @@ from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.physics.effects.places import station_target_pairs
 from ltsim.scene.sightings import Sightings
 
-PLAUSIBLE_LIFT = 50 * MICROMETRE
-"""Plausible lift [m] of a reflector in its nest."""
-MAX_PAIRS_WITH_SINGLE_SEATINGS = 600
-"""Number of pairs of station and target above which a search does not try lifts of single seatings, because the w-test
-of an adjustment detects them.
-"""
+PLAUSIBLE_REFLECTOR_LIFT = 50 * MICROMETRE
+"""Plausible lift [m] of a badly seated reflector from its nest."""
+MAX_STATION_TARGET_PAIRS_WITH_CANDIDATE_LIFTS = 600
+"""Number of pairs of station and target above which a search tries no lifts, because the w-test of an adjustment
+then detects them."""
 
 
 @dataclass(frozen=True)
 class NestLift(TargetDisplacementEffect):
-    """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of a station.
+    """Badly seated reflector: dirt or a burr lifts it in its nest while one station measures it.
 
-    The displacement is D = h n with the lift h along the nest's normal n (kind `normal`), or in any direction (kind
-    `free`, for a nest with a cone or three balls). The parameters are the motion of the reflector (no correction of a
-    reading). It is the same in all pointings of the station to the target.
+    The displacement is D = h n with the lift h along the nest's normal n (kind `normal`). For a nest with a cone or
+    three balls D has any direction (kind `free`). The parameters are the motion of the reflector (no correction of a
+    reading). The lift is the same in all pointings of the station to the target.
 
     Size: 4 um in a clean nest, 5 to 50 um with dirt.
-    Like: outlier in one reading (correlation 0.85).
+    Similar to: outlier in one reading (correlation 0.85).
     Separate by: a repeat after reseating; a lift changes all three readings, in a fixed direction in space.
-    Valid: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
+    Validity: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
     Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
     nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
-    Status: first order validated against the exact motion.
+    Validation: first order validated against the exact motion.
     """
 
     kind: Literal["normal", "free"] = "normal"
-    """Direction of the lift: along the normal of the nest, or any."""
+    """Direction of the lift: `normal` (along the normal of the nest) or `free` (any direction)."""
 
     name = "nest-lift"
     base_rate = 2.0
@@ -44,18 +43,18 @@ class NestLift(TargetDisplacementEffect):
     covariates = ("place",)
     scope = "pointing"
     may_recur = True
-    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", PLAUSIBLE_LIFT),)
+    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", PLAUSIBLE_REFLECTOR_LIFT),)
 
     def __post_init__(self) -> None:
         if self.kind == "free":
-            moved = axis_parameters("lift", "um", "motion of the reflector along", PLAUSIBLE_LIFT)
+            moved = axis_parameters("lift", "um", "motion of the reflector along", PLAUSIBLE_REFLECTOR_LIFT)
             object.__setattr__(self, "parameters", moved)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Lifts that a diagnosis tries per pair of station and target: free, and along the normal of a known nest."""
+        """Lifts that a diagnosis tries per pair of station and target: in any direction, and along a known normal."""
         sight_pairs = station_target_pairs(sightings)
-        if len(sight_pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
+        if len(sight_pairs) > MAX_STATION_TARGET_PAIRS_WITH_CANDIDATE_LIFTS:
             return []
         oriented_indices = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented_indices}

@@ -5,7 +5,7 @@ from ltsim.physics.effects.effect import LightPathStage, NoiseEffect, Parameter
 from ltsim.scene.sightings import Sightings
 
 MIN_VARIANCE_FACTOR = 0.01
-"""Smallest factor on a variance. It replaces smaller factors, so that no variance is zero or negative."""
+"""Smallest factor on a variance that is used in place of smaller ones, so that no variance is zero or negative."""
 
 
 class NoiseLevel(NoiseEffect):
@@ -15,11 +15,11 @@ class NoiseLevel(NoiseEffect):
     means less noise.
 
     Size: v between -0.5 and 3.
-    Like: turbulence (grows with the range), many small effects at once.
+    Similar to: turbulence (grows with the range), many small effects at once.
     Separate by: repeated pointings of one target from one station, whose scatter is the noise.
-    Valid: factors on the variance from 0.1 up.
+    Validity: factors on the variance from 0.1 up.
     Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-    Status: validated: with v = 0 the variance is the declared one.
+    Validation: validated: with v = 0 the variance is the declared one.
     """
 
     name = "noise-level"

@@ -9,14 +9,13 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 Observable = Literal["distance", "azimuth", "elevation"]
-"""Name of an observable."""
+"""Name of an observable (kind of reading)."""
 
 
 READING_COLUMN_BY_OBSERVABLE: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
-"""Column of each observable in the array of readings."""
-MAX_POINTINGS_FOR_SINGLE_OUTLIERS = 1500
-"""Number of pointings above which a search has no candidates for single outliers; the w-test of an adjustment detects
-them."""
+"""Column of each observable in an array of readings: distance 0, azimuth 1, elevation 2."""
+MAX_POINTINGS_WITH_CANDIDATE_OUTLIERS = 1500
+"""Number of pointings above which a search tries no outliers, because the w-test of an adjustment detects them."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +25,18 @@ class Outlier(Effect):
     The parameter is the correction of this reading, whatever the cause of its error.
 
     Size: any; an error of a range is detected from 16 um on.
-    Like: nest-lift (correlation 0.85), which changes all three readings of a pointing.
+    Similar to: nest-lift (correlation 0.85), which changes all three readings of a pointing.
     Separate by: a repeat of the pointing.
-    Valid: any size below a millimetre; larger outliers are rejected before an adjustment. In large recordings
+    Validity: any size below a millimetre; larger outliers are rejected before an adjustment. In large recordings
     `candidates` is empty, because the w-test of the residuals detects single readings.
     Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
-    Status: validated on a single pointing.
+    Validation: validated on a single pointing.
     """
 
     row: int = 0
     """Index of the pointing in the recording, from 0."""
     observable: Observable = "distance"
-    """Observable whose reading is wrong."""
+    """Observable (kind of reading) that is wrong."""
 
     name = "outlier"
     base_rate = 8.0
@@ -54,8 +53,8 @@ class Outlier(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Outliers that a diagnosis tries, one per reading; an empty list for a large recording."""
-        if len(sightings) > MAX_POINTINGS_FOR_SINGLE_OUTLIERS:
+        """Outliers that a diagnosis tries: one per reading, or none in a large recording."""
+        if len(sightings) > MAX_POINTINGS_WITH_CANDIDATE_OUTLIERS:
             return []
         places = [
             ((sightings.station_names[s],), (sightings.target_names[t],))

@@ -1,4 +1,4 @@
-"""Stations, targets and times at which an effect may act, determined from the pointings; base class of drifts."""
+"""Stations, targets and times at which a search lets an effect act, from the pointings; base class of drifts."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -9,17 +9,18 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-MAX_CHANGE_POINTS = 140
-"""Largest number of candidate change points over all stations of a network."""
-N_NEIGHBOUR_GAPS = 6
-"""Number of gaps between pointings, on either side of a change point, to which a local search shifts the change."""
+MAX_CANDIDATE_CHANGE_TIMES = 140
+"""Largest number of times at which a search tries a sudden change, summed over all stations of a network."""
+N_NEIGHBOURING_GAPS = 6
+"""Number of gaps between pointings, before and after the time of a sudden change, to which a local search shifts the
+change."""
 
 
 def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
-    """Candidate change points [s]: midpoints of the gaps between n pointings at the times `times` (n,) [s].
+    """Times [s] at which a search tries a sudden change: midpoints between n successive pointings at `times` (n,) [s].
 
-    At least `min_pointings` pointings are on either side of a change point. At most `max_n_times` change points are
-    returned, spread evenly over the measurement.
+    At least `min_pointings` pointings are before and after each change. At most `max_n_times` times are returned,
+    spread evenly over the measurement.
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
@@ -31,11 +32,11 @@ def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: in
 
 
 def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Candidate change points during the occupation of each station: pairs (station, time [s]).
+    """Times at which a search tries a sudden change during the occupation of each station: pairs (station, time [s]).
 
-    At least `min_pointings` pointings of the station are before and after each change point.
+    At least `min_pointings` pointings of the station are before and after each change.
     """
-    max_times = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
+    max_times = max(2, MAX_CANDIDATE_CHANGE_TIMES // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
@@ -45,11 +46,11 @@ def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) 
     ]
 
 
-def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
-    """Candidate times [s] of a motion of a target: midpoints between its pointings from two successive stations.
+def candidate_times_between_occupations(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
+    """Times [s] at which a search tries a sudden motion of a target, at most `max_n_times`.
 
-    There are at most `max_n_times`. If only one station measured the target, they are midpoints between pointings of
-    this station.
+    They are midpoints between the pointings to the target from two successive stations, or, if only one station
+    measured the target, from this station. `target_index` is the index of the target.
     """
     target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]
     times, stations = sightings.time[target_rows], sightings.station[target_rows]
@@ -63,14 +64,14 @@ def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times
 
 
 def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
-    """Midpoints [s] of the gaps between n pointings at `times` (n,) [s] that are near `time` [s].
+    """Midpoints [s] of the gaps, near `time` [s], between n successive pointings at `times` (n,) [s].
 
-    There are up to `N_NEIGHBOUR_GAPS` of these gaps before `time`, and as many after it.
+    There are up to `N_NEIGHBOURING_GAPS` of these gaps before `time`, and as many after it.
     """
     ordered = np.unique(times)
     midpoints = 0.5 * (ordered[1:] + ordered[:-1])
     index = int(np.searchsorted(midpoints, time))
-    return [float(t) for t in midpoints[max(index - N_NEIGHBOUR_GAPS, 0) : index + N_NEIGHBOUR_GAPS + 1]]
+    return [float(t) for t in midpoints[max(index - N_NEIGHBOURING_GAPS, 0) : index + N_NEIGHBOURING_GAPS + 1]]
 
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
@@ -85,46 +86,47 @@ def first_pointing_time(sightings: Sightings) -> float:
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
-"""Name of the law of time of a drift, see `MotionDrift.law`."""
+"""Name of the function of time that a drift follows (see `MotionDrift.law`)."""
 
 WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
 )
-"""Time constant of a warm-up, with the bounds [s] of a search for it."""
+"""Shape parameter for the time constant of a warm-up, with the bounds [s] between which a search tries values."""
 
 
-MAX_TIME_CONSTANT_RATIO = 2.0
-"""Largest time constant of a warm-up that a search tries, divided by the duration of the measurement."""
+MAX_TIME_CONSTANT_TO_DURATION_RATIO = 2.0
+"""Largest time constant of a warm-up that a search tries, divided by the duration of the recording. A warm-up with a
+larger time constant is nearly linear in time."""
 SHORT_RECORDING_TIME_CONSTANT_FRACTIONS = (0.3, 1.0)
-"""Time constants of warm-ups, divided by the duration of the measurement, that a search tries if all other time
-constants exceed `MAX_TIME_CONSTANT_RATIO`."""
+"""Time constants of warm-ups that a search tries in a short recording, as fractions of its duration. A recording is
+short if all other time constants exceed `MAX_TIME_CONSTANT_TO_DURATION_RATIO`."""
 
 
 @dataclass(frozen=True)
 class MotionDrift(Effect):
-    """Base class of drifts: corrections of one motion of the kinematic chain that depend on time."""
+    """Base class of drifts: an error of the kinematic chain (such as `azimuth`) that changes with time."""
 
     law: TimeLaw = "linear"
-    """Law of time. ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time t
-    since the recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant).
-    """
+    """Function of time that the drift follows. ``visit``: rate times the time since the station's first pointing;
+    ``linear``: rate times the time t since the recording's first pointing; ``exponential``: amplitude times exp(-t /
+    time_constant)."""
     time_constant: float = 3600.0
-    """Time constant [s] of the exponential law."""
+    """Time constant [s] of the function ``exponential``."""
 
     covariates = ("time",)
     shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
-    chain_error: ClassVar[str]
-    """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
+    chain_error_key: ClassVar[str]
+    """Key (`error_key`) of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
-    """Parameter of the laws of time that are linear (``visit`` and ``linear``): correction per time."""
+    """Parameter of the linear functions of time (``visit`` and ``linear``): rate of the correction."""
     decay_amplitude_parameter: ClassVar[Parameter]
-    """Parameter of the law ``exponential``: correction at the start."""
-    candidate_laws_linear_in_time: ClassVar[tuple[TimeLaw, ...]]
-    """Linear laws of time that a search tries at all stations together: ``visit`` (time since the station's first
-    pointing) or ``linear`` (time since the recording's first pointing). With one station only the first law is tried.
-    """
+    """Parameter of the function ``exponential``: correction at the start."""
+    candidate_linear_time_laws: ClassVar[tuple[TimeLaw, ...]]
+    """Linear functions of time that a search tries at all stations together: ``visit`` (time since the station's
+    first pointing) or ``linear`` (time since the recording's first pointing). With one station, only the first of
+    them is tried."""
     tries_single_stations: ClassVar[bool] = False
-    """True if a search also tries, at single stations, a drift in proportion to the time since the station's first
+    """True if a search also tries drifts at single stations, in proportion to the time since the station's first
     pointing."""
 
     def __post_init__(self) -> None:
@@ -135,24 +137,28 @@ class MotionDrift(Effect):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Drifts that a diagnosis tries: linear drifts at all stations or at one, and exponential warm-ups.
 
-        Warm-ups with time constants far above the duration of the measurement are omitted, because they are constant or
-        linear. In a recording without times, row numbers replace time.
+        Warm-ups with a time constant far above the duration of the measurement are omitted, because they are nearly
+        linear. In a recording without times, row numbers replace the time.
         """
         span = float(np.ptp(sightings.time))
         times = [
-            t for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid_values().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span
+            t
+            for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid_values().tolist()
+            if t <= MAX_TIME_CONSTANT_TO_DURATION_RATIO * span
         ] or [share * span for share in SHORT_RECORDING_TIME_CONSTANT_FRACTIONS]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [
-            cls(law=law)
-            for law in (cls.candidate_laws_linear_in_time if names else cls.candidate_laws_linear_in_time[:1])
+            cls(law=law) for law in (cls.candidate_linear_time_laws if names else cls.candidate_linear_time_laws[:1])
         ]
         single_station_drifts = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
         warm_ups = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
         return [*linear, *single_station_drifts, *warm_ups]
 
     def time_law_values(self, sightings: Sightings) -> Floats:
-        """Factor (n,) of the drift's parameter at each of n pointings: a time [s], or dimensionless for a decay."""
+        """Factor (n,) by which the drift's parameter is multiplied in each of n pointings.
+
+        For a linear function of time it is a time [s], for an exponential one it is dimensionless.
+        """
         if self.law == "visit":
             return sightings.time_since_station_start
         time_since_start = sightings.time - first_pointing_time(sightings)
@@ -160,5 +166,5 @@ class MotionDrift(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         drift_per_unit = self.pointing_indicator(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.reading_change_by_error_key[self.chain_error] * drift_per_unit[:, None]
+        column: Floats = sightings.reading_change_by_error_key[self.chain_error_key] * drift_per_unit[:, None]
         return column[:, :, None]

@@ -6,22 +6,23 @@ from ltsim.physics.effects.places import MotionDrift
 class RangeDrift(MotionDrift):
     """Drift of the range zero: electronics and head warm up.
 
-    Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up), with the time
-    t, the rate r, the amplitude A and the time constant tau.
+    The correction (true value minus reading) of the range is Delta_d = r t (with t from the start of the recording or
+    of each station) or A exp(-t / tau) (warm-up). Here t is the time, r the rate, A the amplitude and tau the time
+    constant.
 
     Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
-    Like: mesh-expansion (correlation 0.955), dead-path.
+    Similar to: mesh-expansion (correlation 0.955), dead-path.
     Separate by: a new homing during the measurement; thermometers; one target measured every quarter of an hour.
-    Valid: the same drift at every station; time constants of 10 min to 4 h.
-    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body
-    that reaches its temperature.
-    Status: validated against the range zero at a given time.
+    Validity: the same drift at every station; time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential describes a body that
+    approaches its final temperature.
+    Validation: validated against the range zero at a given time.
     """
 
     name = "range-drift"
     light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
-    chain_error = "range"
+    chain_error_key = "range"
     rate_parameter = Parameter(
         "range-drift", "um/h", "growth rate of the length by which every range is too short", 15 * SI_PER_UNIT["um/h"]
     )
@@ -33,4 +34,4 @@ class RangeDrift(MotionDrift):
     )
     parameters = (rate_parameter,)
 
-    candidate_laws_linear_in_time = ("linear", "visit")
+    candidate_linear_time_laws = ("linear", "visit")

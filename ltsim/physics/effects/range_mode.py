@@ -12,15 +12,16 @@ from ltsim.scene.sightings import Sightings
 class RangeMode(Effect):
     """Range zero by mode: the interferometer has another zero than the absolute distance meter.
 
-    Delta_d = rho for the ranges of the interferometer, in a recording with both modes (column `distance_mode`). The
-    parameter rho is the difference of the two zeros. The zero error that both modes share is range-offset.
+    The correction (true value minus reading) is Delta_d = rho for the ranges of the interferometer, in a recording with
+    both modes (column `distance_mode`). The parameter rho is the difference of the two zeros. The zero error that both
+    distance meters have in common is range-offset.
 
     Size: 5 um in a good tracker, 20 to 50 um in a bad one.
-    Like: range-step, if the mode changes once at a station; range-offset, if all ranges have the same mode.
+    Similar to: range-step, if the mode changes once at a station; range-offset, if all ranges have the same mode.
     Separate by: the same targets in both modes.
-    Valid: one zero per mode for the whole recording. A new homing gives an interferometer another zero (range-step).
+    Validity: one zero per mode for the whole recording. A new homing gives an interferometer another zero (range-step).
     Source: the manual of a Brunson laser-tracker kit (both zeros are checked separately).
-    Status: validated on the pointings of either mode, and by a recording with both.
+    Validation: validated on the pointings of either mode, and by a recording with both.
     """
 
     name = "range-mode"
@@ -33,7 +34,7 @@ class RangeMode(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """List of this effect if both distance modes were used; otherwise empty, and a diagnosis does not try it."""
+        """Effects that a diagnosis tries: this effect if both distance meters were used, otherwise none."""
         return [cls()] if DISTANCE_METER_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:

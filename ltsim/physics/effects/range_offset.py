@@ -5,17 +5,18 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class RangeOffset(ChainErrorEffect):
     """Range zero error: the bird-bath distance or the offset of the absolute distance meter is wrong.
 
-    Delta_d = rho_0: all ranges have the same error, on both faces.
+    The correction (true value minus reading) is Delta_d = rho_0: all ranges have the same error, in both faces.
 
     Size: a current absolute meter 2.5 um, 5 um at most; a bad one 20 to 50 um.
-    Like: transit-offset (correlation 0.83 in one face, 0 in two), the axial part of smr-centring exactly. Stations and
-    targets absorb 99.6 % of the effect, so that it is detected from 73 um on in one face, from 13 um on in two.
+    Similar to: transit-offset (correlation 0.83 in one face, 0 in two), the axial part of smr-centring exactly.
+    Stations and targets absorb 99.6 % of the effect, so that it is detected from 73 um on in one face, from 13 um on in
+    two.
     Separate by: a length measured from outside in line with its ends, and from a station between them; the difference
     is twice the zero error.
-    Valid: one mode of distance measurement; absolute distance meter and interferometer have separate zeros.
+    Validity: one mode of distance measurement; absolute distance meter and interferometer have separate zeros.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x8, bird-bath error); Rüeger
     1996, Electronic Distance Measurement (length in line).
-    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
     """
 
     name = "range-offset"

@@ -12,20 +12,21 @@ from ltsim.scene.sightings import Sightings
 class RangeStep(Effect):
     """Step of the range zero: the beam is interrupted, and the zero has another value afterwards.
 
-    Delta_d = rho, the size of the step, from the time of the step to the last pointing of the station.
+    The correction (true value minus reading) of a range is Delta_d = rho, the size of the step, from the time of the
+    step to the last pointing of the station.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
-    Like: reflector-constant (exactly) and station-weather (correlation 0.965), if the step is at the start of the
+    Similar to: reflector-constant (exactly) and station-weather (correlation 0.965), if the step is at the start of the
     station; station-bump.
     Separate by: near and far targets at that station; a target measured before and after the step.
-    Valid: one step per station; the step does not act at the next station.
-    Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter
-    keeps its zero.
-    Status: validated on pointings before and after the step.
+    Validity: one step per station; the step does not act at the next station.
+    Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter keeps
+    its zero.
+    Validation: validated on pointings before and after the step.
     """
 
     time: float = 0.0
-    """Time [s] of the step."""
+    """Time [s] of the step of the range zero."""
 
     name = "range-step"
     light_path_stage = LightPathStage.RANGE
@@ -38,7 +39,7 @@ class RangeStep(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Steps that a diagnosis tries: at the first pointing of each station, and between its pointings."""
+        """Steps that a diagnosis tries: at the first pointing of each station, and between any two of its pointings."""
         starts = [
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
@@ -47,9 +48,9 @@ class RangeStep(Effect):
         return [cls((name,), time=time) for name, time in [*starts, *candidate_change_times]]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Copies of this step in the neighbouring gaps between pointings, for a local search."""
+        """Copies of this step in neighbouring gaps between pointings, which a local search tries."""
         times = sightings.time[self.pointing_indicator(sightings) > 0]
-        return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
+        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
         after = self.pointing_indicator(sightings) * (sightings.time >= self.time)

@@ -1,12 +1,12 @@
 """Light paths through air of non-uniform temperature: integration of the ray equation, and its first-order solution.
 
-A temperature field is a function of m points (m, 3) in the network frame. Its values are the temperature minus that of
-the weather sensor, (m,) [K], and the gradient of the temperature, (m, 3) [K/m].
+A temperature field is a function of m points (m, 3) in the network frame. Its values are the temperature minus the
+temperature at the weather sensor, (m,) [K], and the gradient of the temperature, (m, 3) [K/m].
 
-Ray equation d/ds (n dr/ds) = grad n, with the refractive index n, and the position r at the distance s from the
-station. Corrections (true value - reading) to first order, to the left (D_t), upward (D_v) and of the range d, with the
-gradient grad_perp n across the beam and the index n_sensor at the weather sensor:
-(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
+The ray equation is d/ds (n dr/ds) = grad n, with the refractive index n and the position r at the distance s from the
+station. Corrections (true value - reading) follow to first order. With the gradient grad_perp n across the beam and the
+index n_sensor at the weather sensor, the corrections to the left (D_t), upward (D_v) and of the range d are (D_t, D_v)
+= integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
 """
 
 from collections.abc import Callable
@@ -23,42 +23,42 @@ from ltsim.physics.effects.motions import reading_change_by_target_positions
 from ltsim.scene.sightings import Sightings
 
 TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from n points (n, 3) [m] to the temperature minus that of the weather sensor (n,) [K], and to the gradient
-of the temperature (n, 3) [K/m]."""
+"""Function from n points (n, 3) [m] to two arrays: the temperature minus the temperature at the weather sensor (n,)
+[K], and the gradient of the temperature (n, 3) [K/m]."""
 
-REFERENCE_TEMPERATURE = 20.0
-"""Temperature [C] at the weather sensor for which beta = -dn/dT is computed; beta changes by 0.5 % per kelvin."""
+REFERENCE_AIR_TEMPERATURE = 20.0
+"""Temperature [C] at the weather sensor for which the decrease of the refractive index per kelvin is computed. The
+decrease changes by 0.5 % per kelvin."""
 N_RAY_STEPS = 64
-"""Number of Runge-Kutta steps along a ray."""
+"""Number of Runge-Kutta steps for the integration along a ray."""
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
 """Nodes and weights of the Gauss-Legendre quadrature along a straight path, for the interval from -1 to 1."""
 
 
 @lru_cache
 def _refractivity_polynomials() -> tuple[Polynomial, Polynomial]:
-    """Polynomials of the refractivity (refractive index minus one) and of its derivative [1/K].
+    """Polynomials of the refractivity (refractive index minus one) of air, and of its derivative [1/K].
 
-    The variable of the polynomials is the temperature minus that of the weather sensor, -15 to +40 K.
+    The variable is the temperature minus the temperature at the weather sensor, from -15 to +40 K.
     """
     excess = np.linspace(-15.0, 40.0, 56)
-    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE_TEMPERATURE + excess), 8).convert()
+    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE_AIR_TEMPERATURE + excess), 8).convert()
     return law, law.deriv()
 
 
 @lru_cache
 def relative_index_decrease_per_kelvin() -> float:
-    """Relative decrease beta / n [1/K] of the refractive index per kelvin, at the weather sensor."""
+    """Relative decrease beta / n [1/K] of the refractive index n of air per kelvin, at `REFERENCE_AIR_TEMPERATURE`."""
     law, _ = _refractivity_polynomials()
-    return refractive_index_decrease_per_kelvin(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
+    return refractive_index_decrease_per_kelvin(REFERENCE_AIR_TEMPERATURE) / (1.0 + float(law(0.0)))
 
 
 def first_order_reading_change(
     sightings: Sightings, field: TemperatureField, pointing_indicator: Bools | None = None
 ) -> Floats:
-    """Change (n, 3) of the raw readings of n pointings by a temperature field: integrals along straight paths.
+    """Change (n, 3) of the raw readings of n pointings by a temperature field, from integrals along straight paths.
 
-    The result is of first order. If `pointing_indicator` (n,) is given, only the pointings that it flags are computed,
-    and the changes of the others are zero.
+    The result is exact to first order. If `pointing_indicator` (n,) is given, only the pointings it flags change.
     """
     pointing_indices = np.arange(len(sightings)) if pointing_indicator is None else np.flatnonzero(pointing_indicator)
     beam, across, up = (way[pointing_indices] for way in sightings.beam_vectors)
@@ -86,9 +86,9 @@ def first_order_reading_change(
 def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, n_steps: int = N_RAY_STEPS) -> Floats:
     """Change (n, 3) of the raw readings of n pointings by a temperature field, from the ray equation.
 
-    The ray equation is integrated by the Runge-Kutta method of fourth order. The ray starts in the direction of the
-    first-order solution. The direction is then corrected for the distance between the end of the ray and the target.
-    `n_steps` is the number of Runge-Kutta steps.
+    The ray equation is integrated by the Runge-Kutta method of fourth order with `n_steps` steps. The ray starts in the
+    direction of the first-order solution. This direction is then corrected for the distance between the end of the ray
+    and the target.
     """
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     ray_lengths = sightings.range_
@@ -106,7 +106,7 @@ def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, 
 
 
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
-    """Unit vectors (n, 3) from the station to the apparent position of the target of n pointings, to first order."""
+    """Unit vectors (n, 3) from the station to where the target of n pointings appears, to first order."""
     beam, across, up = sightings.beam_vectors
     change = first_order_reading_change(sightings, field)
     lateral_angle = change[:, 1] * np.cos(sightings.elevation)
@@ -119,7 +119,8 @@ def _trace_rays(
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3) [m] and end directions (n, 3) of n rays, and integrals (n,) [m] of the refractivity along them.
 
-    Rays are given by start points `origins` (n, 3) [m], start directions (n, 3) and arc lengths (n,) [m].
+    The rays have the start points `origins` (n, 3) [m], the start directions `direction` (n, 3) and the arc lengths
+    `ray_lengths` (n,) [m].
     """
     law, slope = _refractivity_polynomials()
 
@@ -152,20 +153,23 @@ def _trace_rays(
 
 @dataclass(frozen=True)
 class WarmAirEffect(Effect):
-    """Base class of effects of warm air; the only parameter is a temperature difference [K]."""
+    """Base class of effects of warm air, whose only parameter is a temperature difference [K]."""
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field if the temperature difference, the parameter of the effect, is 1 K."""
+        """Temperature as a function of position (`TemperatureField`), if the parameter of the effect is 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the readings of n pointings per kelvin of the temperature difference, to first order."""
+        """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the temperature difference."""
         return first_order_reading_change(
             sightings, self.temperature_field(sightings), self.pointing_indicator(sightings) > 0
         )[:, :, None]
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings of n pointings, by integration of the ray equation."""
+        """Change (n, 3) of the raw readings of n pointings, from the integrated ray equation.
+
+        `parameter_values` (1,) is the temperature difference [K].
+        """
         kelvin = self.temperature_field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:

@@ -8,17 +8,17 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReflectorConstant(Effect):
-    """Wrong reflector constant: one station used another SMR or prism, or the constant of another one was entered.
+    """Wrong reflector constant: one station used another reflector, or the constant of another reflector was entered.
 
-    Delta_d = c, the error of the constant, for every range of one station. The position of the sphere's centre does not
-    change.
+    The correction (true value minus reading) is Delta_d = c, the error of the constant, for every range of one station.
+    The position of the sphere's centre does not change.
 
     Size: 17.5 or 34.4 mm for another prism, 0.02 to 0.5 mm for the constant of another SMR.
-    Like: range-step at the station's start (exactly), station-weather (correlation 0.965).
+    Similar to: range-step at the station's start (exactly), station-weather (correlation 0.965).
     Separate by: the reflector and the constant that were used there; near and far targets at that station.
-    Valid: one reflector per station. The same error at all stations equals the range zero of the instrument.
+    Validity: one reflector per station. The same error at all stations equals the range zero of the instrument.
     Source: general knowledge: constants of reflectors are entered by hand.
-    Status: validated against the range offset on the station's pointings.
+    Validation: validated against the range offset on the station's pointings.
     """
 
     name = "reflector-constant"

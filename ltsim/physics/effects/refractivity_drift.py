@@ -8,16 +8,17 @@ from ltsim.scene.sightings import Sightings
 class RefractivityDrift(Effect):
     """Drift of the refractive index: the hall warms up, but the weather values are not updated.
 
-    Delta_d = d s t at the range d, with the time t since the first pointing and the growth rate s of the scale error;
-    1 K changes the refractive index by 0.955 ppm. Later stations measure shorter ranges.
+    The correction (true value minus reading) is Delta_d = d s t at the range d, with the time t since the first
+    pointing and the growth rate s of the scale error; 1 K changes the refractive index by 0.955 ppm. Later stations
+    measure shorter ranges.
 
     Size: 0.5 to 2 K in a morning, 0.1 to 1 ppm/h.
-    Like: mesh-expansion, uniform mode (correlation 0.996, exactly if it grows only between stations); station-weather
-    at single stations.
+    Similar to: mesh-expansion, uniform mode (correlation 0.996, exactly if it grows only between stations);
+    station-weather at single stations.
     Separate by: a thermometer on the structure; a repeat of the first station at the end.
-    Valid: linear over the recording.
+    Validity: linear over the recording.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
-    Status: validated against the range scale at one hour.
+    Validation: validated against the range scale at one hour.
     """
 
     name = "refractivity-drift"

@@ -10,10 +10,10 @@ from ltsim.scene.sightings import Sightings
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
-    """Axes (axial, side, up) of the reflector of each of n pointings, network frame, as columns of matrices (n, 3, 3).
+    """Axes (axial, side, up) of the reflector in each of n pointings, network frame: columns of matrices (n, 3, 3).
 
-    The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
-    normal.
+    The axial direction is the normal of the nest. For a reflector that is turned to the tracker, or in a nest with
+    unknown normal, it points to the station.
     """
     normal = sightings.nest_normals[sightings.target]
     is_turned = sightings.is_reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
@@ -28,21 +28,23 @@ def reflector_axes(sightings: Sightings) -> Floats:
 class SmrCentring(Effect):
     """Centring error of a reflector: the vertex of its mirrors is not at the centre of its sphere.
 
-    The tracker measures the vertex, which is displaced from the centre by e = e_a axial + e_s side + e_u up; the unit
-    vector axial is perpendicular to the open face. With the incidence angle alpha to this vector and its direction chi
-    around it, Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length and direction
-    of the part across the axis; the lateral correction is the component of -e across the beam. A fixed reflector has
-    the same e in all pointings. The axis of a re-aimed reflector points to the tracker. Its axial part is therefore an
-    error of the range zero, and the other parts are constant lateral lengths that are the same on both faces, if the
-    marker on the reflector is always up. Otherwise these parts are noise.
+    The tracker measures the vertex, which is displaced from the centre by e = e_a axial + e_s side + e_u up, with unit
+    vectors along the axis (perpendicular to the open face), sideways and up. Let alpha be the angle of incidence to the
+    axis and chi its direction around the axis. Then the correction (true value minus reading) of the range is Delta_d =
+    e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length and direction of the part of e
+    across the axis. The lateral correction is minus the component of e across the beam. A fixed reflector has the same
+    e in all pointings. A re-aimed reflector is turned so that its axis points to the tracker. Its axial part is then an
+    error of the range zero. Its other parts are constant lateral lengths, the same in both faces, if a marker on the
+    reflector is always up; otherwise they are noise.
 
     Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
-    Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
+    Similar to: for a fixed reflector, a displaced target (exactly); for a re-aimed reflector, range-offset (its axial
+    part, exactly) and beam-offset (in one face).
     Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
-    Valid: up to 25 um; independent of the point where the beam meets the mirrors.
+    Validity: up to 25 um; independent of the point where the beam meets the mirrors.
     Source: patent US 2015/0285615 A1 (run-out, and the marker that keeps it constant); Yan et al. 2010 (geometric
     errors of a spherically mounted reflector); the equation follows from a ray trace of three mirrors.
-    Status: validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range
+    Validation: validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range
     offset.
     """
 
@@ -59,7 +61,7 @@ class SmrCentring(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: one reflector carried to all targets, and a separate reflector per target."""
+        """Effects that a diagnosis tries: one reflector carried to all targets, or a separate one at each target."""
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -11,16 +11,16 @@ class SmrDihedral(Effect):
 
     With the dihedral error delta, the beam returns as six partial beams, whose directions differ by up to 1.63 delta.
     The mean direction does not change unless an aperture clips the spot or the coating is uneven. Then the tracker aims
-    at the brighter part of the spot. The correction is a constant angle, a fraction of 1.63 delta, that depends on the
-    reflector and its rotation about the beam: Delta_azimuth = left / cos(el), Delta_elevation = up, the same on both
-    faces. The range does not change.
+    at the brighter part of the spot. The correction (true value minus reading) is a constant angle, a fraction of 1.63
+    delta, that depends on the reflector and its rotation about the beam: Delta_azimuth = left / cos(el),
+    Delta_elevation = up, the same on both faces. The range does not change.
 
     Size: delta is 10 urad in a good reflector, 50 urad in a bad one; the angle is a few percent of that.
-    Like: detector-offset at one target, turbulence (if the reflector rotates freely about the beam).
+    Similar to: detector-offset at one target, turbulence (if the reflector rotates freely about the beam).
     Separate by: the reflector turned about the beam.
-    Valid: the marker on the reflector is always up; the fraction of delta is empirical.
+    Validity: the marker on the reflector is always up; the fraction of delta is empirical.
     Source: the knowledge base of FARO on dihedral errors of a reflector; 1.63 from a ray trace of three mirrors.
-    Status: form validated by its parity; the size is empirical.
+    Validation: form validated by its parity; the size is empirical.
     """
 
     name = "smr-dihedral"

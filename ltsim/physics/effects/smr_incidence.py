@@ -11,38 +11,41 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, desi
 from ltsim.scene.sightings import Sightings
 
 INCIDENCE_TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
-"""Incidence angles [rad] of a table of range errors of a reflector, as in fig. 9 of Sensors 2021, 21, 7479."""
+"""Incidence angles [rad] of a bench-test table with the range errors of a reflector, as in fig. 9 of Sensors 2021,
+21, 7479."""
 MAX_TABULATED_INCIDENCE = 30.0 * DEGREE
-"""Largest incidence angle [rad] in a table of range errors."""
-PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
-"""Range errors (reading - true range) [m] at `INCIDENCE_TABLE_ANGLES`, with the size and asymmetry of fig. 9 of Sensors
-2021, 21, 7479."""
+"""Largest incidence angle [rad] in a bench-test table with the range errors of a reflector."""
+PAPER_INCIDENCE_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
+"""Range errors (reading - true range) [m] of a reflector at the angles `INCIDENCE_TABLE_ANGLES`, with the size and
+the asymmetry of fig. 9 of Sensors 2021, 21, 7479."""
 INCIDENCE_KNOT_ANGLES = INCIDENCE_TABLE_ANGLES[len(INCIDENCE_TABLE_ANGLES) // 2 : -1]
-"""Incidence angles (4,) [rad] at which the slope of the range error may change: the angles of `INCIDENCE_TABLE_ANGLES`
-from 0 up, except the last."""
-EVEN_SLOPE_CHANGE_SIGMA = 1.5 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in the part of the incidence error that is the same for all
-directions (even part), expressed as its contribution to the error 7.5 deg further. At 30 deg the even part then has a
-standard deviation of 8.2 um; in `PAPER_RANGE_ERRORS` it is 7.7 um."""
-ODD_SLOPE_CHANGE_SIGMA = 0.6 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in each part of the incidence error that is opposite for opposite
-directions (odd part), expressed as its contribution to the error 7.5 deg further. At 30 deg an odd part then has a
-standard deviation of 3.3 um; in `PAPER_RANGE_ERRORS` it is 2.4 um."""
-THREEFOLD_PART_SIGMA = 5 * MICROMETRE
-"""Prior standard deviation [m] of the part of the incidence error with three periods per turn around the nest's normal,
-which comes from the three mirrors."""
+"""Incidence angles (4,) [rad] at which the slope of the range error may change: the angles of
+`INCIDENCE_TABLE_ANGLES` from 0 up, except the last one."""
+EVEN_SLOPE_CHANGE_PRIOR_SIGMA = 1.5 * MICROMETRE
+"""Prior standard deviation [m] of a change of slope in the even part of the incidence error (the part that is the
+same for all directions). The change of slope is expressed as the resulting error 7.5 deg further. At 30 deg the even
+part then has a standard deviation of 8.2 um; in `PAPER_INCIDENCE_RANGE_ERRORS` it is 7.7 um."""
+ODD_SLOPE_CHANGE_PRIOR_SIGMA = 0.6 * MICROMETRE
+"""Prior standard deviation [m] of a change of slope in an odd part of the incidence error (a part with opposite
+values for opposite directions). The change of slope is expressed as the resulting error 7.5 deg further. At 30 deg
+an odd part then has a standard deviation of 3.3 um; in `PAPER_INCIDENCE_RANGE_ERRORS` it is 2.4 um."""
+THREEFOLD_PART_PRIOR_SIGMA = 5 * MICROMETRE
+"""Prior standard deviation [m] of the part of the incidence error with three periods per turn around the normal of
+the nest. The three mirrors of the reflector cause this part."""
 INCIDENCE_ERROR_PARTS = ("even", "cos", "sin")
-"""Parts of the incidence error by their dependence on the direction of incidence: none, its cosine, its sine."""
+"""Parts of the incidence error by their dependence on the direction of incidence: `even` (none), `cos` (its cosine)
+and `sin` (its sine)."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
-"""Descriptions for users of the directions of incidence in which each of `INCIDENCE_ERROR_PARTS` changes the range."""
+"""Descriptions for users of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
+they change the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Sizes at 30 deg of the ramps from each of `INCIDENCE_KNOT_ANGLES`, for each of `INCIDENCE_ERROR_PARTS`."""
+    """Parameters of the incidence error: for each part, the sizes at 30 deg of four ramps (see `_ramp_values`)."""
     steps = range(len(INCIDENCE_KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(
@@ -51,7 +54,7 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
         for part, meaning, bend in zip(
             INCIDENCE_ERROR_PARTS,
             _PART_DESCRIPTIONS,
-            (EVEN_SLOPE_CHANGE_SIGMA, ODD_SLOPE_CHANGE_SIGMA, ODD_SLOPE_CHANGE_SIGMA),
+            (EVEN_SLOPE_CHANGE_PRIOR_SIGMA, ODD_SLOPE_CHANGE_PRIOR_SIGMA, ODD_SLOPE_CHANGE_PRIOR_SIGMA),
             strict=True,
         )
         for number, knot, step in zip(
@@ -61,7 +64,10 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
 
 
 def _ramp_values(incidence: Floats) -> Floats:
-    """Values (n, 4) of four ramps at n incidence angles (n,) [rad]: 0 up to the ramp's knot angle, 1 from 30 deg on."""
+    """Values (n, 4) of four ramps at n incidence angles (n,) [rad].
+
+    A ramp is 0 up to its knot angle (one of `INCIDENCE_KNOT_ANGLES`), and rises linearly to 1 at 30 deg.
+    """
     return np.clip(
         (incidence[:, None] - INCIDENCE_KNOT_ANGLES) / (MAX_TABULATED_INCIDENCE - INCIDENCE_KNOT_ANGLES), 0.0, 1.0
     )
@@ -71,32 +77,31 @@ def _ramp_values(incidence: Floats) -> Floats:
 class SmrIncidence(Effect):
     """Incidence-angle error of a reflector: the range depends on the angle between open face and beam.
 
-    With the incidence angle alpha and its direction chi around the nest's normal, Delta_d = even(alpha) + cos(chi)
-    c(alpha) + sin(chi) s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). The functions even, c and s are piecewise
-    linear with knots every 7.5 deg, as a test on a roundness table with an interferometer gives them. Each parameter of
-    these functions is a change of slope at one knot, expressed as the resulting range error at 30 deg. A table of
-    signed incidence angles along the direction chi_0 corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term
-    in 3 chi comes from the three mirrors. The error at normal incidence belongs to the range zero, which is determined
-    with the reflector facing the beam. It is therefore subtracted from the table, and a re-aimed reflector has no
-    error.
+    The correction (true value minus reading) of the range is Delta_d = even(alpha) + cos(chi) c(alpha) + sin(chi)
+    s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). Here alpha is the angle of incidence and chi its direction
+    around the nest's normal. The functions even, c and s are piecewise linear with knots every 7.5 deg, as a test on a
+    roundness table with an interferometer gives them. Each parameter of these functions is a change of slope at one
+    knot, expressed as the resulting range error at 30 deg. A table of signed incidence angles along the direction chi_0
+    corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term in 3 chi comes from the three mirrors. The error
+    at normal incidence belongs to the range zero, which is determined with the reflector facing the beam. The error at
+    normal incidence is therefore subtracted from the table, and a reflector that is turned to the tracker has no error.
 
     Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
     good reflector 1.3 um.
-    Like: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
+    Similar to: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
-    Valid: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its marker in
+    Validity: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its marker in
     the same direction.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et
     al. 2009, Proc. SPIE 7461 (polarisation in a retroreflector and an absolute meter).
-    Status: validated against the table at its angles, and against the geometry of the sightings.
+    Validation: validated against the table at its angles, and against the geometry of the sightings.
     """
 
     table: tuple[float, ...] = ()
-    """Range errors (reading - true range) [m] at `INCIDENCE_TABLE_ANGLES`, relative to any zero. If empty, only the
-    parameters define the error.
-    """
+    """Range errors (reading - true range) [m] at the angles `INCIDENCE_TABLE_ANGLES`, up to a common constant. If
+    empty, the parameters alone define the error."""
     direction: float = 0.0
-    """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
+    """Direction chi_0 [rad] around the normal of the nest to which positive angles of the table belong."""
 
     name: ClassVar[str] = "smr-incidence"
     light_path_stage: ClassVar[LightPathStage] = LightPathStage.TARGET
@@ -108,10 +113,13 @@ class SmrIncidence(Effect):
             "threefold-cos",
             "um",
             "cosine part of the error of three mirrors, amplitude at 30 deg",
-            THREEFOLD_PART_SIGMA,
+            THREEFOLD_PART_PRIOR_SIGMA,
         ),
         Parameter(
-            "threefold-sin", "um", "sine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_PART_SIGMA
+            "threefold-sin",
+            "um",
+            "sine part of the error of three mirrors, amplitude at 30 deg",
+            THREEFOLD_PART_PRIOR_SIGMA,
         ),
     )
 
@@ -123,9 +131,10 @@ class SmrIncidence(Effect):
 
     @classmethod
     def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Change (n, 14) of the range correction (true range - reading) of n pointings per unit of each parameter.
+        """Derivatives (n, 14) of the range correction (true range - reading) in n pointings by the 14 parameters.
 
-        `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the nest's normal.
+        `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the normal of the
+        nest.
         """
         ramps, cubed = (
             _ramp_values(incidence),
@@ -138,7 +147,7 @@ class SmrIncidence(Effect):
 
     @cached_property
     def parameters_from_table(self) -> Floats:
-        """Parameters (14,) [m] with the same range corrections as `table`; zeros without a table."""
+        """Parameters (14,) [m] that give the range corrections of `table`; zeros without a table."""
         if not self.table:
             return np.zeros(len(self.parameters))
         middle_index = len(INCIDENCE_TABLE_ANGLES) // 2
@@ -150,9 +159,9 @@ class SmrIncidence(Effect):
         return -np.concatenate([even, *odds, np.zeros(2)])
 
     def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Incidence angle, and direction of incidence around the nest's normal, of n pointings, each (n,) [rad].
+        """Angle of incidence, and its direction around the normal of the nest, in n pointings, each (n,) [rad].
 
-        Both are 0 for a re-aimed reflector and for a nest with an unknown normal.
+        Both are 0 for a reflector that is turned to the tracker, and for a nest with an unknown normal.
         """
         fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence_angle)
         angle = np.where(fixed, sightings.incidence_angle, 0.0)
@@ -168,8 +177,7 @@ class SmrIncidence(Effect):
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) [m, rad, rad] of the raw readings of n pointings by the incidence error; only ranges change.
 
-        The error is that of `table`, plus that of `parameter_values` (14,) [m], which are additions to the parameters
-        that correspond to the table (`parameters_from_table`).
+        The error is the one of `table` plus the one of `parameter_values` (14,) [m].
         """
         change: Floats = self.design(sightings) @ (self.parameters_from_table + parameter_values)
         return change

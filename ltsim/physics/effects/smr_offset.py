@@ -12,17 +12,17 @@ from ltsim.scene.sightings import Sightings
 class SmrOffset(TargetDisplacementEffect):
     """Other reflector or adaptor: one station used an SMR of another radius with the previous constant.
 
-    The displacement of the sphere's centre is D = (R_true - R_used) n along the nest's normal n. The parameter is this
-    displacement, positive away from the nest (no correction of a reading).
+    The displacement of the sphere's centre is D = (R_true - R_used) n along the nest's normal n, with the true and the
+    used radius R. The parameter is this displacement, positive away from the nest (no correction of a reading).
 
     Size: 12.7 mm if a 1.5 in SMR is taken for 0.5 in, 7.94 mm if it is taken for 7/8 in: one of a few nominal
     differences.
-    Like: nest-lift of many targets at once, a station-bump along a wall's normal.
+    Similar to: nest-lift of many targets at once, a station-bump along a wall's normal.
     Separate by: no measurement is needed, because the size is one of the nominal differences.
-    Valid: nests with a known normal. The same error at all stations displaces the targets, and only a reference length
-    shows it.
+    Validity: nests with a known normal. The same error at all stations displaces the targets, and only a reference
+    length shows it.
     Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
-    Status: first order validated against the exact motion.
+    Validation: first order validated against the exact motion.
     """
 
     name = "smr-offset"
@@ -33,7 +33,7 @@ class SmrOffset(TargetDisplacementEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries, one per station; an empty list if no normal of a nest is known."""
+        """Effects that a diagnosis tries: one per station, or none if no normal of a nest is known."""
         has_normals = np.isfinite(sightings.nest_normals).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if has_normals else []
 

@@ -15,16 +15,16 @@ from ltsim.scene.sightings import Sightings
 class StationBump(StationMotionEffect):
     """Station bumped: the tripod was touched, and the station has another pose from then on.
 
-    pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step function H and the time t_b of the bump. The
-    parameters are the station's motion in the network frame, with the rotation as a vector through the station's origin
-    (no correction of a reading).
+    At the time t the pose of the station is pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step
+    function H and the time t_b of the bump. The parameters are the station's motion in the network frame, with the
+    rotation as a vector through the station's origin (no correction of a reading).
 
     Size: 5 um and 5 urad up to millimetres; it is detected from 5.6 um together with 4 urad on.
-    Like: station-settling (smooth), range-step (ranges only), target-swap.
+    Similar to: station-settling (smooth), range-step (ranges only), target-swap.
     Separate by: a repeat of the first three targets at the end of the station.
-    Valid: one bump per station, with three pointings or more before and after it; micrometres to millimetres.
+    Validity: one bump per station, with three pointings or more before and after it; micrometres to millimetres.
     Source: the user manual of SpatialAnalyzer (drift check); the search over change points is derived here.
-    Status: first order validated against the exact motion.
+    Validation: first order validated against the exact motion.
     """
 
     time: float = 0.0
@@ -42,13 +42,13 @@ class StationBump(StationMotionEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Bumps that a diagnosis tries: between pointings of a station, with at least three before and after."""
+        """Bumps that a diagnosis tries: between pointings of a station, with three pointings or more on either side."""
         return [cls((name,), time=time) for name, time in candidate_station_change_times(sightings, min_pointings=3)]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Copies of this bump in the neighbouring gaps between pointings, for a local search."""
+        """Copies of this bump in neighbouring gaps between pointings, which a local search tries."""
         times = sightings.time[self.pointing_indicator(sightings) > 0]
-        return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
+        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def motion(self, sightings: Sightings) -> Floats:
         return (self.pointing_indicator(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)

@@ -12,16 +12,16 @@ from ltsim.scene.sightings import Sightings
 class StationLevelling(StationMotionEffect):
     """Levelling error: the level is wrong, so that the axis of a levelled station is inclined.
 
-    w = R_i (b_x, b_y, 0), with the rotation w of the instrument in the network frame and the rotation R_i of station i.
-    The parameters b_x and b_y are the lean of the instrument about its own x and y axes (no correction of a reading).
-    It acts at one station, or equally at all stations (a level fixed to the head).
+    The instrument is rotated by the vector w = R_i (b_x, b_y, 0) in the network frame, with the rotation R_i of station
+    i. The parameters b_x and b_y are the rotations about the x and y axes of the instrument (no correction of a
+    reading). The error acts at one station, or equally at all stations (a level fixed to the head).
 
     Size: 2 urad for a good level, 10 to 20 urad for a bad one.
-    Like: no effect; if the tilts of the stations are estimated, they absorb it, and the residuals do not change.
+    Similar to: no effect; if the tilts of the stations are estimated, they absorb it, and the residuals do not change.
     Separate by: an adjustment that estimates the tilts; plumb lines converge by 0.157 urad per metre.
-    Valid: levelled stations only.
+    Validity: levelled stations only.
     Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
-    Status: first order validated against the exact motion.
+    Validation: first order validated against the exact motion.
     """
 
     name = "station-levelling"
@@ -36,7 +36,7 @@ class StationLevelling(StationMotionEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: an error at a single station, and an equal error at all stations."""
+        """Levelling errors that a diagnosis tries: one at each single station, and an equal one at all stations."""
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:

@@ -7,11 +7,11 @@ class StationNoise(NoiseLevel):
     variance = sigma^2 (1 + v) at that station, with v the added variance divided by the declared one.
 
     Size: v of 0.5 to 10.
-    Like: noise-level (all stations), a target or station that moves often.
+    Similar to: noise-level (all stations), a target or station that moves often.
     Separate by: repeats at that station.
-    Valid: noise that is independent from pointing to pointing.
+    Validity: noise that is independent from pointing to pointing.
     Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-    Status: validated: with v = 0 the variance is the declared one; the variance at other stations does not change.
+    Validation: validated: with v = 0 the variance is the declared one; the variance at other stations does not change.
     """
 
     name = "station-noise"

@@ -7,39 +7,43 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetDisplacementEffect
-from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, times_between_visits
+from ltsim.physics.effects.places import (
+    candidate_times_between_occupations,
+    first_pointing_time,
+    neighbouring_gap_times,
+)
 from ltsim.scene.sightings import Sightings
 
-MAX_STEP_TIMES_PER_TARGET = 8
-"""Largest number of times per target at which a search tries a step."""
-PLAUSIBLE_STEP = 60 * MICROMETRE
-"""Plausible sudden displacement [m] of a target."""
-PLAUSIBLE_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
-"""Plausible rate of creep [m/s] of a target."""
+MAX_CANDIDATE_STEP_TIMES_PER_TARGET = 8
+"""Largest number of times per target at which a search tries a sudden displacement."""
+PLAUSIBLE_TARGET_STEP = 60 * MICROMETRE
+"""Plausible sudden displacement [m] of a target along each axis."""
+PLAUSIBLE_TARGET_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
+"""Plausible rate [m/s] at which a target creeps along each axis."""
 
 
 @dataclass(frozen=True)
 class TargetMoved(TargetDisplacementEffect):
     """Moved target: a nest was displaced suddenly, or its support creeps.
 
-    step: P(t) = P + H(t - t_m) D, with the target's coordinates P, the unit step function H, the time t_m of the step
-    and the displacement D. creep: P(t) = P + v (t - t_0), with the velocity v and the time t_0 of the first pointing.
-    The parameters are the motion of the target in the network frame (no correction of a reading), the same as seen from
-    all stations.
+    For a step, the target's coordinates are P(t) = P + H(t - t_m) D at the time t, with the unit step function H, the
+    time t_m of the step and the displacement D. For creep they are P(t) = P + v (t - t_0), with the velocity v and the
+    time t_0 of the first pointing. The parameters are the motion of the target in the network frame (no correction of a
+    reading), the same as seen from all stations.
 
     Size: 10 to 100 um.
-    Like: nest-lift, if only one station measured the target after the motion.
+    Similar to: nest-lift, if only one station measured the target after the motion.
     Separate by: the target measured first and last from each station.
-    Valid: one step per target, between the pointings of two stations.
+    Validity: one step per target, between the pointings of two stations.
     Source: general knowledge of networks; Baarda 1968, A testing procedure for use in geodetic networks (its smallest
     detectable size).
-    Status: first order validated against the exact motion.
+    Validation: first order validated against the exact motion.
     """
 
     time: float = 0.0
-    """Time [s] of the step, or of the start of the creep."""
+    """Time [s] of the sudden displacement, or of the start of the creep."""
     kind: Literal["step", "creep"] = "step"
-    """Kind of the motion: sudden step, or gradual creep."""
+    """Kind of motion: `step` (sudden) or `creep` (gradual)."""
 
     name = "target-moved"
     base_rate = 4.0
@@ -47,28 +51,28 @@ class TargetMoved(TargetDisplacementEffect):
     covariates = ("time",)
     scope = "target"
     may_recur = True
-    parameters = axis_parameters("moved", "um", "motion of the target along", PLAUSIBLE_STEP)
+    parameters = axis_parameters("moved", "um", "motion of the target along", PLAUSIBLE_TARGET_STEP)
 
     def __post_init__(self) -> None:
         if self.kind == "creep":
-            rates = axis_parameters("creep", "um/h", "speed of the target along", PLAUSIBLE_CREEP_RATE)
+            rates = axis_parameters("creep", "um/h", "speed of the target along", PLAUSIBLE_TARGET_CREEP_RATE)
             object.__setattr__(self, "parameters", rates)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Motions that a diagnosis tries, per target: a step between any two stations that measured it, and creep."""
+        """Motions that a diagnosis tries per target: a step between any two stations that measured it, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = times_between_visits(sightings, t, max_n_times=MAX_STEP_TIMES_PER_TARGET)
+            steps = candidate_times_between_occupations(sightings, t, max_n_times=MAX_CANDIDATE_STEP_TIMES_PER_TARGET)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Copies of this step in neighbouring gaps between pointings, also of the same station, for a local search."""
+        """Copies of this step in neighbouring gaps between pointings, which a local search tries; none for creep."""
         times = sightings.time[self.pointing_indicator(sightings) > 0]
         return (
-            [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
+            [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
             if self.kind == "step"
             else []
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.scene.sightings import Sightings
 
 
@@ -17,12 +17,12 @@ class TargetSwap(Blunder):
     target minus the reading of the target itself.
 
     Size: the distance between the two targets.
-    Like: two outliers, equal and opposite.
+    Similar to: two outliers, equal and opposite.
     Separate by: no measurement is needed, because the residual equals the distance between the targets.
-    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
-    `candidates` is empty and `possible_blunders` lists the pairs.
+    Validity: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so
+    that `candidates` is empty and `possible_blunders` lists the pairs.
     Source: general knowledge of networks.
-    Status: validated against a recording with two names exchanged.
+    Validation: validated against a recording with two names exchanged.
     """
 
     name = "target-swap"
@@ -33,12 +33,12 @@ class TargetSwap(Blunder):
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders of this kind: each pair of targets at each station."""
+        """Exchanged names that can occur: each pair of targets at each station."""
         name_pairs = list(combinations(sightings.target_names, 2))
         return [cls((station,), pair) for station in sightings.station_names for pair in name_pairs]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings in which the two targets are exchanged."""
+        """Sightings with the two targets as they were measured; the recording exchanges their names."""
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)
@@ -54,4 +54,4 @@ class TargetSwap(Blunder):
         partner = np.where(sightings.target == a, b, a)
         gap = sightings.target_points[partner] - sightings.target_points[sightings.target]
         acts = self.pointing_indicator(sightings)[:, None]
-        return exact_change_by_displacement(sightings, gap * acts)[:, :, None]
+        return reading_change_by_displacement(sightings, gap * acts)[:, :, None]

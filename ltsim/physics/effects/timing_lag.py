@@ -6,7 +6,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def mean_reading_rates(sightings: Sightings) -> Floats:
-    """Mean rate (n, 3) [m/s, rad/s] of the readings of n pointings since the previous pointing of the same station."""
+    """Mean rates (n, 3) [m/s, rad/s] at which the readings changed since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
     lapse = sightings.time - sightings.time[sightings.previous_pointing_indices]
     going = (sightings.previous_pointing_indices >= 0) & (lapse > 0)
@@ -17,17 +17,17 @@ def mean_reading_rates(sightings: Sightings) -> Floats:
 class TimingLag(Effect):
     """Timing lag: a reading is taken before the axis has settled, or a channel is delayed.
 
-    Delta = rate of the reading times the lag, with a separate lag for range, azimuth and elevation. The rate is the
-    change since the previous pointing of the station, divided by the time between both pointings. It is zero for the
-    first pointing of a station.
+    The correction (true value minus reading) is Delta = rate of the reading times the lag, with a separate lag for
+    range, azimuth and elevation. The rate is the change since the previous pointing of the station, divided by the time
+    between both pointings. The rate is zero for the first pointing of a station.
 
     Size: 0.1 to 1 ms; a target moved at 0.1 m/s is off by 100 um in 1 ms.
-    Like: backlash, if all motions take the same time.
+    Similar to: backlash, if all motions take the same time.
     Separate by: dwell times of 0.1, 1 and 5 s.
-    Valid: static targets at regular times. If the head turns faster than the mean rate used here, the estimated lag is
-    too long by the ratio of both rates.
-    Source: general knowledge; the equation is that of a delayed channel.
-    Status: validated on a sequence of known rates; the size is general knowledge.
+    Validity: static targets at regular times. If the head turns faster than the mean rate used here, the estimated lag
+    is too long by the ratio of both rates.
+    Source: general knowledge; the equation describes a delayed channel.
+    Validation: validated on a sequence of known rates; the size is general knowledge.
     """
 
     name = "timing-lag"

@@ -5,22 +5,29 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 class TransitOffset(ChainErrorEffect):
     """Transit offset: the transit axis does not intersect the standing axis.
 
-    Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, at the elevation el and the range d, with the offset
-    tau of the transit axis, positive forward, and f = +1 on face 1 and -1 on face 2. It is the only geometric error
-    with different ranges on the two faces; they differ by 2 tau cos(el).
+    The corrections (true value minus reading) are Delta_d = f tau cos(el) and Delta_elevation = -f tau sin(el) / d at
+    the elevation el and the range d. Here tau is the offset of the transit axis, positive forward, and f is +1 in face
+    1 and -1 in face 2. The transit offset is the only geometric error with different ranges in the two faces; they
+    differ by 2 tau cos(el).
 
     Size: under 3 um in a good tracker, 20 to 50 um in a bad one.
-    Like: range-offset (correlation 0.83 in one face, 0 in two).
+    Similar to: range-offset (correlation 0.83 in one face, 0 in two).
     Separate by: two faces; the effect is detected from 67 um on in one face, from 0.8 um on in two faces.
-    Valid: source in the rotating head; up to 0.1 mm.
+    Validity: source in the rotating head; up to 0.1 mm.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x2).
-    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
     """
 
     name = "transit-offset"
     light_path_stage = LightPathStage.AXES
     observables = ("distance", "elevation")
     parameters = (
-        Parameter("transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"),
+        Parameter(
+            "transit-offset",
+            "um",
+            "distance of the transit axis in front of the standing axis",
+            20 * MICROMETRE,
+            "offset",
+        ),
     )
     terms = (ChainErrorTerm("transit-offset"),)

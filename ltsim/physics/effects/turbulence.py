@@ -14,13 +14,13 @@ class Turbulence(NoiseEffect):
 
     Size: C of 100 um^2/m^3 on a shop floor; there a shield around a path of 2.5 m reduced the lateral scatter from 40
     to 23 um.
-    Like: noise-level, small drifts.
+    Similar to: noise-level, small drifts.
     Separate by: repeats over minutes; a shielded path.
-    Valid: errors that are independent between pointings; averaging N values within a pointing reduces them less than
+    Validity: errors that are independent between pointings; averaging N values within a pointing reduces them less than
     1 / sqrt(N).
     Source: Chernov 1960, Wave Propagation in a Random Medium (a ray's displacement grows with d^3); Hughes et al. 2011,
     Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second hand).
-    Status: form validated; sizes second hand.
+    Validation: form validated; sizes second hand.
     """
 
     name = "turbulence"

@@ -1,4 +1,4 @@
-"""Public functions of the catalogue: list of effects, registration, and construction of an effect by name."""
+"""Public functions for effects: catalogue, registration of an effect class, construction of an effect by name."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -10,31 +10,33 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.descriptions import EffectDescription, EffectList
 from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
-LOCATION_FIELDS = ("stations", "targets")
-"""Names of the fields of an effect that contain the stations and targets where it acts."""
-COMMON_EFFECT_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
-"""Names of the fields that every effect has; further fields of an effect are its constants."""
+LOCATION_FIELD_NAMES = ("stations", "targets")
+"""Names of the fields of an effect with the stations and targets where it acts."""
+COMMON_EFFECT_FIELD_NAMES = {f.name for f in dataclasses.fields(AnyEffect)}
+"""Names of the fields that all effects have. The other fields of an effect are its shape parameters."""
 MAX_FACTOR_BEYOND_SEARCH_BOUNDS = 100.0
-"""Factor by which a constant of a simulated effect (a length or time) may lie outside the bounds of a search for the
-constant."""
+"""Largest factor by which a shape parameter (a length or time) of a simulated effect may lie outside the bounds
+between which a search tries its values."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SizedEffect:
-    """Effect with the values of its parameters, as it is simulated or injected."""
+    """Effect with values of its parameters, for a simulation or an injection."""
 
     effect: AnyEffect
-    display_values: Mapping[str, float]
-    """Values of the effect's parameters by name, in display units."""
+    """Effect without values of its parameters."""
+    parameter_values_in_display_units: Mapping[str, float]
+    """Values of the parameters by name, in their display units."""
 
 
 EffectT = TypeVar("EffectT", bound=LinearEffect | SizedEffect)
+"""Type of an effect, with or without values of its parameters."""
 
 
 def Effect(  # noqa: N802 - it stands for a class of the catalogue
-    name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
+    name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **shape_parameters: Any
 ) -> AnyEffect | SizedEffect:
-    """Effect of the catalogue at given stations and targets, with given constants.
+    """Effect of the catalogue with given shape parameters, at given stations and targets.
 
     Parameters
     ----------
@@ -42,11 +44,11 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
         Name of the effect in `lt.catalogue()`.
     stations, targets : str or sequence of str
         Names of the stations and targets where the effect acts; default all.
-    **constants
-        Constants of the effect in the units of the catalogue, such as ``law="visit"``, and values of its parameters if
-        it is simulated or injected, such as ``index_drift=60``. A fit determines constants that are not given from the
-        readings; a simulation draws them. A fit also determines constants that are given with their default value; to
-        fix them, write the effect as text: ``"index-drift:law=linear"``.
+    **shape_parameters
+        Shape parameters of the effect in the units of the catalogue, such as ``law="visit"``. For a simulation or an
+        injection also values of its parameters, such as ``index_drift=60``. If a shape parameter is not given, a fit
+        determines it from the readings, and a simulation draws it. A fit also determines a shape parameter that is
+        given with its default value; to fix it, write the effect as text: ``"index-drift:law=linear"``.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     Raises
     ------
     ModelError
-        When there is no such effect or constant, or a value is invalid.
+        When there is no such effect or shape parameter, or a value is invalid.
 
     Examples
     --------
@@ -64,25 +66,25 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     >>> lt.Effect("index-drift", stations="S3", law="visit").stations
     ('S3',)
     """
-    places = dict(zip(LOCATION_FIELDS, (name_tuple(stations), name_tuple(targets)), strict=True))
-    name_by_key = {key.replace("_", "-"): key for key in constants}
+    places = dict(zip(LOCATION_FIELD_NAMES, (name_tuple(stations), name_tuple(targets)), strict=True))
+    name_by_key = {key.replace("_", "-"): key for key in shape_parameters}
     sized = {
         p.name: name_by_key[key]
         for p in find_effect(name).parameters
         if (key := p.name.replace("_", "-")) in name_by_key
     }
-    sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
-    effect = make_effect(name, places, constants)
+    sizes = {parameter: float(shape_parameters.pop(key)) for parameter, key in sized.items()}
+    effect = make_effect(name, places, shape_parameters)
     return SizedEffect(effect, sizes) if sizes else effect
 
 
 def name_tuple(name_or_names: str | Sequence[str]) -> tuple[str, ...]:
-    """Names as a tuple, from a single name or a sequence of names."""
+    """Tuple of names, from a single name or a sequence of names."""
     return (name_or_names,) if isinstance(name_or_names, str) else tuple(name_or_names)
 
 
 def effect_tuple(effect_or_effects: str | EffectT | Sequence[str | EffectT]) -> tuple[str | EffectT, ...]:
-    """Effects (names or objects) as a tuple, from a single effect or a sequence of effects."""
+    """Tuple of effects (names or objects), from a single effect or a sequence of effects."""
     alone = isinstance(effect_or_effects, str) or not isinstance(effect_or_effects, Sequence)
     return (
         (cast("str | EffectT", effect_or_effects),)
@@ -91,34 +93,36 @@ def effect_tuple(effect_or_effects: str | EffectT | Sequence[str | EffectT]) -> 
     )
 
 
-def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Mapping[str, Any]) -> AnyEffect:
-    """Effect of the catalogue with the given stations, targets and constants.
+def make_effect(
+    name: str, location_names: Mapping[str, tuple[str, ...]], shape_parameters: Mapping[str, Any]
+) -> AnyEffect:
+    """Effect of the catalogue with the given stations, targets and shape parameters.
 
-    `places` has the names of stations and targets by the field `stations` or `targets`. `constants` are by name, in the
-    catalogue's unit if it declares one, otherwise in SI units. Raises ModelError for an unknown effect or constant, and
-    for an invalid value.
+    `location_names` has names of stations and targets by the field `stations` or `targets`. `shape_parameters` are by
+    name, in the catalogue's unit if it declares one, otherwise in SI units. Raises ModelError for an unknown effect or
+    shape parameter, and for an invalid value.
     """
     kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_EFFECT_FIELDS}
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_EFFECT_FIELD_NAMES}
     units = {s.name: SI_PER_UNIT[s.unit] for s in kind.shape_parameters}
-    si_constants: dict[str, Any] = {}
-    for key, value in constants.items():
+    si_values: dict[str, Any] = {}
+    for key, value in shape_parameters.items():
         if key not in fields:
             names, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
             raise ModelError(
-                f"{name} has no constant called '{key}'; its constants are {names}; its parameters, whose values "
-                f"only a simulation accepts, are {sizes}"
+                f"{name} has no shape parameter called '{key}'; its shape parameters are {names}; "
+                f"its parameters, whose values only a simulation accepts, are {sizes}"
             )
-        si_constants[key] = _constant_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    effect = kind(**{**places, **si_constants})
-    _check_constants(effect)
+        si_values[key] = _shape_parameter_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+    effect = kind(**{**location_names, **si_values})
+    _check_shape_parameters(effect)
     return effect
 
 
-def _check_constants(effect: AnyEffect) -> None:
-    """Check of the constants of an effect: words must be permitted, lengths and times near the bounds of a search.
+def _check_shape_parameters(effect: AnyEffect) -> None:
+    """Check of the shape parameters of an effect; raises ModelError with the name and the permitted values.
 
-    Raises ModelError with the name of the constant and its permitted values.
+    Words must be permitted ones. Lengths and times must be near the bounds between which a search tries values.
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):
@@ -140,10 +144,10 @@ def _check_constants(effect: AnyEffect) -> None:
             raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
 
 
-def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
-    """Constant in SI units with the type of its default, from a `value` in a unit of `unit` [SI].
+def _shape_parameter_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
+    """Shape parameter in SI units, with the type of its `default`, from a `value` in a unit of `unit` [SI].
 
-    `key` names the constant in messages. Raises ModelError for a value of another type.
+    `key` is the name of the shape parameter for messages. Raises ModelError for a value of another type.
     """
     if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
         raise ModelError(f"{key} is {value!r}, expected a value such as {default!r}")
@@ -154,10 +158,10 @@ def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
     return value * unit if isinstance(default, float) else value
 
 
-def constants_in_display_units(effect: AnyEffect) -> dict[str, Any]:
-    """Constants of an effect by name, in display units, as `make_effect` takes them."""
+def displayed_shape_parameters(effect: AnyEffect) -> dict[str, Any]:
+    """Shape parameters of an effect by name, in display units; `make_effect` accepts them in this form."""
     units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_EFFECT_FIELDS]
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_EFFECT_FIELD_NAMES]
     value_by_name = {name: getattr(effect, name) for name in names}
     return {name: value / units[name] if name in units else value for name, value in value_by_name.items()}
 
@@ -188,10 +192,11 @@ def catalogue(*names: str) -> EffectList:
 
 
 def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
-    """Registration of a user-defined effect for this session; also a decorator of its class.
+    """Registration of a user-defined effect class for the running Python session; also a decorator of the class.
 
-    Afterwards its name is valid in scenarios, in `with_effects`, in campaigns (including their worker processes) and in
-    a diagnosis. A catalogue entry is optional. For other sessions the class must be in a package.
+    Afterwards the name of the effect is valid in scenarios, in `with_effects`, in campaigns (including their worker
+    processes) and in a diagnosis. A catalogue entry is optional. For use in other sessions, put the class into a
+    package.
 
     Parameters
     ----------
@@ -201,7 +206,7 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     Raises
     ------
     ModelError
-        If the class cannot be an effect, with the reason, or if another effect has its name.
+        If the class cannot be used as an effect, or if another effect has the same name; the message gives the reason.
 
     Notes
     -----

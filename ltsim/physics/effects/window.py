@@ -12,8 +12,8 @@ from ltsim.scene.sightings import Sightings
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
 CANDIDATE_PANE_TARGET_FRACTIONS = (0.25, 0.12)
-"""Numbers of neighbouring targets behind a candidate glass pane, as fractions of the number of targets that the station
-measured."""
+"""Numbers of neighbouring targets behind a glass pane that a search tries, as fractions of the number of targets
+that the station measured."""
 CANDIDATE_PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a glass pane about the vertical that a local search tries."""
 
@@ -30,17 +30,17 @@ def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
 class Window(TargetDisplacementEffect):
     """Window in the path: a pane of glass is between a station and some of its targets.
 
-    With the thickness w, the index n and the angle of incidence i at the pane, the range is too long by w (sqrt(n^2 -
-    sin^2 i) - cos i), and the target appears displaced by w sin i (1 - cos i / sqrt(n^2 - sin^2 i)) across the beam,
-    away from the pane's normal. The parameter is w (no correction of a reading).
+    The range is too long by w (sqrt(n^2 - sin^2 i) - cos i), with the thickness w, the refractive index n and the angle
+    of incidence i at the pane. The target appears displaced by w sin i (1 - cos i / sqrt(n^2 - sin^2 i)) across the
+    beam, away from the pane's normal. The parameter is w (no correction of a reading).
 
     Size: a pane of 3 mm changes the range by 1.500 mm at normal incidence and by 1.645 mm at 30 deg, where it displaces
     the target by 0.58 mm across the beam.
-    Like: range-step over the whole visit (if all targets are behind the pane), smr-offset.
+    Similar to: range-step at the start of the station (if all its targets are behind the pane), smr-offset.
     Separate by: the glass pane removed.
-    Valid: plane-parallel glass of index 1.5, anywhere on the path.
+    Validity: plane-parallel glass of index 1.5, anywhere on the path.
     Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
-    Status: validated against the numbers above.
+    Validation: validated against the numbers above.
     """
 
     pane_normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ class Window(TargetDisplacementEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Upright glass panes that a diagnosis tries, at each station in front of targets adjacent in azimuth."""
+        """Upright glass panes that a diagnosis tries, at each station in front of targets with similar azimuths."""
         candidates = []
         for station in sightings.station_names:
             order = _targets_in_azimuth_order(sightings, station)
@@ -69,9 +69,10 @@ class Window(TargetDisplacementEffect):
 
     @classmethod
     def _perpendicular_panes(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
-        """Glass pane perpendicular to the direction from a station to the middle of a sequence of targets.
+        """List with an upright glass pane perpendicular to the direction from a station to the middle of some targets.
 
-        The list is empty if the middle is undefined.
+        `target_sequence` are the indices of the targets behind the pane. The list is empty if their middle is
+        undefined.
         """
         arm = (
             sightings.target_points[target_sequence]
@@ -84,7 +85,7 @@ class Window(TargetDisplacementEffect):
         return [cls((station,), tuple(sightings.target_names[t] for t in sorted(target_sequence)), (x, y, 0.0))]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Similar panes for a local search: rotated, or with one target more or fewer at either end of the sequence."""
+        """Similar panes that a local search tries: rotated, or with one target more or fewer behind either edge."""
         order = _targets_in_azimuth_order(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]
@@ -95,7 +96,9 @@ class Window(TargetDisplacementEffect):
                 windows += self._perpendicular_panes(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.pane_normal
         angles = [np.arctan2(y, x) + angle for angle in CANDIDATE_PANE_ROTATIONS]
-        return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in angles]
+        return windows + [
+            self.with_shape_parameters(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in angles
+        ]
 
     def displacement(self, sightings: Sightings) -> Floats:
         beam = sightings.beam_vectors[0]

@@ -11,7 +11,7 @@ from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, Co
 from ltsim.scene.sightings import Sightings
 
 UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
-"""Transcription errors of units and conventions, by name."""
+"""Transcription errors of units and conventions (such as gon for degrees) by name."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class WrongUnit(Blunder):
     `recordings.transcription_errors` lists these errors.
 
     Size: metres.
-    Like: nothing; residuals of the station's resection are metres.
+    Similar to: nothing; residuals of the station's resection are metres.
     Separate by: no measurement is needed.
-    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
-    `candidates` is empty and `possible_blunders` lists the possible blunders. Weather values in a wrong unit are the
-    effect station-weather.
+    Validity: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so
+    that `candidates` is empty and `possible_blunders` lists the possible blunders. Weather values in a wrong unit are
+    the effect station-weather.
     Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
-    Status: validated on the readings: the correction restores the original reading.
+    Validation: validated on the readings: the correction restores the original reading.
     """
 
     mistake: str = "gon"
@@ -46,17 +46,17 @@ class WrongUnit(Blunder):
 
     @property
     def transcription_error(self) -> ColumnConversion:
-        """Transcription error of this blunder: the unit or convention that was written, and the correct one."""
+        """Transcription error of this blunder, with the unit or convention that was written and the correct one."""
         return UNIT_ERRORS_BY_NAME[self.mistake]
 
     @classmethod
     def blunders_at_station(cls, station: str) -> list[Self]:
-        """Blunders of every unit and convention at one station."""
+        """Wrong units and conventions that can occur at one station."""
         return [cls((station,), mistake=name) for name in UNIT_ERRORS_BY_NAME]
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders of this kind: each wrong unit and convention at each station."""
+        """Wrong units and conventions that can occur at the stations of a network, one per unit and station."""
         return [effect for name in sightings.station_names for effect in cls.blunders_at_station(name)]
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:

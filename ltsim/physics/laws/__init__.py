@@ -1,1 +1,1 @@
-"""Empirical laws: an observable or an instrument constant depends on a regressor, without a known physical cause."""
+"""Empirical laws: a reading or an instrument constant is a function of a regressor, without a known physical cause."""

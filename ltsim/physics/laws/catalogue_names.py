@@ -1,4 +1,4 @@
-"""Names of the catalogue effects that laws are equivalent to, such as `index-drift` for a decaying vertical index."""
+"""Catalogue effects that are equivalent to a law, such as `index-drift` for a vertical index that decays with time."""
 
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -10,26 +10,26 @@ EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Name of the catalogue effect that is equivalent to a law, by the names of the law's response and covariate."""
+"""Name of the catalogue effect that is equivalent to a law, by the pair of the law's response (changed quantity) and
+covariate."""
 FUNCTIONS_WITH_CATALOGUE_NAME = ("decay", "power", "sin", "cos", "tan")
-"""Functions of a covariate for which a law gets the name of a catalogue effect. Sine, cosine and tangent are included:
-they differ from powers of the angle by less than a catalogue effect differs between two instruments.
-"""
+"""Functions of a covariate for which a law gets the name of a catalogue effect. They include sine, cosine and
+tangent: these differ from powers of an angle by less than a catalogue effect differs between two instruments."""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
-"""Functions of time that the position of a target may have in the effect `target-moved`: a step, a steady motion, or a
-decaying motion."""
+"""Functions of time for which a law of the position of a target gets the name `target-moved`: a step, a steady
+motion, or a decaying motion."""
 RESPONSE_NAMES_BY_CIRCLE = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Names of the responses that an error of the graduation of a circle changes, by the name of the circle."""
+"""Names of the responses (changed quantities) through which graduation errors act, by the name of the circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
-"""Number of periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration
-already contains waves with one and two periods per turn."""
+"""Number of periods per turn above which a wave in the angle of a circle gets the name of a graduation harmonic. The
+ordinary calibration already contains waves with one and two periods per turn."""
 MIN_INTERPOLATION_PERIODS_PER_TURN = 20.0
-"""Number of periods per turn above which a wave in the angle of a circle is called an interpolation error of the
-encoder. Below it the wave is a harmonic."""
+"""Number of periods per turn above which a wave in the angle of a circle gets the name of an interpolation error of
+the encoder. With fewer periods it is a graduation harmonic."""
 
 
-def catalogue_name(law: EmpiricalLaw) -> str:
-    """Name of the catalogue effect that a law is equivalent to; `unknown` if there is none."""
+def equivalent_effect_name(law: EmpiricalLaw) -> str:
+    """Name of the catalogue effect that is equivalent to a law; `unknown` if there is none."""
     regressor, response_name = law.regressor, law.response.name
     if (
         regressor.kind == "wave"
@@ -59,7 +59,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:
-    """True for a regressor of time that describes a single step, a steady motion, or a decaying motion."""
+    """True for a regressor of time that is a single step, a steady motion or a decaying motion."""
     if regressor.kind == "pieces":
         return len(regressor.factors) == 1 and _is_step_or_creep(regressor.factors[0])
     return regressor.function in TIME_FUNCTIONS_OF_MOVED_TARGET

@@ -1,4 +1,4 @@
-"""Centring errors as a form of noise: a random displacement of the reflector at each occupation of a target."""
+"""Noise hypothesis of centring errors: a random displacement of the reflector at each occupation of a target."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ RECENTRING_PHRASE_BY_OCCUPATION_GROUPING: dict[OccupationGrouping, str] = {
 def shared_errors_sentence(sigma_text: str) -> str:
     """Sentence for users on centring errors at all set-ups.
 
-    `sigma_text` is the standard deviation of a displacement with its unit.
+    `sigma_text` is the standard deviation of a displacement as text with its unit.
     """
     return (
-        f"Repeated pointings of a target from one set-up share errors of {sigma_text} (standard deviation) along "
+        f"Repeated pointings of a target from one set-up have common errors of {sigma_text} (standard deviation) along "
         "each axis: the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
         "The repeats are not independent."
     )
@@ -34,14 +34,15 @@ def shared_errors_sentence(sigma_text: str) -> str:
 
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
-    """Hypothesis of centring errors: a random displacement of the reflector at each occupation of a target.
+    """Noise hypothesis of centring errors: a random displacement of the reflector at each occupation of a target.
 
-    All pointings of an occupation share its displacement, so that the variance of single readings does not change. The
-    adjustment estimates the displacements. Their prior standard deviation is the parameter of the hypothesis.
+    All pointings of an occupation have the same displacement, so that the variance of single readings does not change.
+    The adjustment estimates the displacements as unknowns. Their prior standard deviation is the parameter of the
+    hypothesis.
     """
 
     occupation_grouping: OccupationGrouping = "station"
-    """Kind of occupation: the pointings between two placements of the reflector."""
+    """Kind of occupation, which says when a reflector is placed on its target again (such as at every set-up)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -50,7 +51,7 @@ class CentringVariance(VarianceFunction):
 
     @property
     def regressor_text(self) -> str:
-        """Name for users of the quantity on which the displacement depends: the occupation of the target."""
+        """Name for users of the covariate of the displacements: the occupation of the target."""
         return "occupation of the target"
 
     @property
@@ -59,7 +60,10 @@ class CentringVariance(VarianceFunction):
         return f"reflectors that are centred anew {RECENTRING_PHRASE_BY_OCCUPATION_GROUPING[self.occupation_grouping]}"
 
     def sentence(self, sigma_text: str) -> str:
-        """Sentence for users on the centring errors; `sigma_text` is the standard deviation of a displacement."""
+        """Sentence for users on the centring errors.
+
+        `sigma_text` is the standard deviation of a displacement as text with its unit.
+        """
         if self.occupation_grouping == "station":
             return shared_errors_sentence(sigma_text)
         return f"Centring errors: {self.text}, with a standard deviation of {sigma_text} along each axis."
@@ -69,5 +73,5 @@ class CentringVariance(VarianceFunction):
         return sigma**2
 
     def as_declared_uncertainty(self, sigma: float) -> CentringUncertainty:
-        """Centring errors with a standard deviation `sigma` [m], in the form in which `setup.toml` declares them."""
+        """Centring errors with the standard deviation `sigma` [m], as an entry of `setup.toml` declares them."""
         return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation_grouping)

@@ -1,12 +1,12 @@
-"""Design-matrix columns of regressors, with a row for each of n pointings, and priors of their coefficients.
+"""Columns of the design matrix for regressors, with one row per pointing, and priors of their coefficients.
 
 The rms of each column is about one.
 
 A smooth curve is a Gaussian process of reduced rank in one covariate. Its columns are a linear function and the first
-eigenfunctions of the Laplacian on the covariate's range. The prior variances of the coefficients are the spectral
+eigenfunctions of the Laplacian on the range of the covariate. The prior variances of the coefficients are the spectral
 density of a squared-exponential kernel (Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process
 regression, eq. 20). For an angle on a full circle the columns are Fourier waves. Curves with other length scales, and
-random walks, have the same columns and other variances.
+random walks, have the same columns but other prior variances.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,28 +21,25 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
-N_MODES_DEFAULT = 9
-"""Number of eigenfunctions (of the Laplacian) that represent a smooth curve in a search. At the shortest of the length
-scales, the prior standard deviation of the last coefficient is a tenth to a third of that of the first coefficient."""
-N_MODES_IN_PRODUCT = 4
-"""Number of eigenfunctions (of the Laplacian) that represent a smooth curve as a factor of a product, or in a law of a
-single target."""
-N_MODES_OF_FINER_CURVE = 32
-"""Number of eigenfunctions (of the Laplacian) that represent a finer curve, which a search tries in place of the smooth
-curve of the selected law."""
+N_CURVE_MODES = 9
+"""Number of eigenfunctions of the Laplacian (modes) of which a search composes a smooth curve. For the shortest
+length scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
+N_PRODUCT_CURVE_MODES = 4
+"""Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law of a single target."""
+N_FINER_CURVE_MODES = 32
+"""Number of eigenfunctions (modes) of a finer curve, which a search tries in place of the selected smooth curve."""
 EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
-"""Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the width of the
-covariate's range. It is larger than 1 because a curve is not necessarily zero at the ends of the range.
-"""
-LENGTH_SCALES_BY_N_MODES = {
-    N_MODES_DEFAULT: (0.9, 0.4, 0.18),
-    N_MODES_IN_PRODUCT: (0.6,),
-    N_MODES_OF_FINER_CURVE: (0.07,),
+"""Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the range of the
+covariate. The ratio is above 1, because a smooth curve need not be zero at the ends of the range."""
+LENGTH_SCALES_BY_N_CURVE_MODES = {
+    N_CURVE_MODES: (0.9, 0.4, 0.18),
+    N_PRODUCT_CURVE_MODES: (0.6,),
+    N_FINER_CURVE_MODES: (0.07,),
 }
-"""Length scales of a smooth curve (of the kernel of its Gaussian process) by number of eigenfunctions, as fractions of
-half the covariate's range. For an angle on a full circle they are in radians."""
+"""Length scales of a smooth curve (of the kernel of its Gaussian process), by the number of its eigenfunctions. They
+are fractions of half the range of the covariate, or radians for an angle on a full circle."""
 MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
-"""Prefixes of the names of covariates that depend on preceding pointings, such as `move-azimuth`."""
+"""Prefixes of the names of covariates that depend on earlier pointings, such as `move-azimuth`."""
 FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
@@ -60,17 +57,17 @@ FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate x and a constant k that the formula of a law may contain, by name."""
+"""Functions of a covariate x and a constant k that the formula of a law may contain, by the name of the function."""
 HYSTERESIS_FUNCTION = "hysteresis"
-"""Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement. Its
-constant is half the width of the loop, in the unit of the covariate."""
+"""Name of the function with hysteresis, which depends on the order of the pointings. Its constant is half the width
+of the loop, in the unit of the covariate."""
 MAX_NATURAL_ZERO_FRACTION = 0.02
-"""Ratio of the smallest to the largest absolute value of a covariate, below which the covariate, such as a load, counts
-as zero at some pointings, so that zero is its reference value."""
+"""Ratio of the smallest to the largest absolute value of a covariate, below which zero is its reference value. A
+load, for example, is practically zero in some pointings."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
-    """True if n values (n,) of a covariate, such as a load, come close to zero, which is then its reference value.
+    """True if zero is the reference value of a covariate with n values (n,), because it comes close to zero (a load).
 
     The reference value of other covariates, such as a temperature, is their mean.
     """
@@ -78,7 +75,7 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
-    """Column (n, 1) of n values divided by its rms; a column of zeros remains unchanged."""
+    """Column (n, 1) of n values divided by their rms; a column of zeros is returned unchanged."""
     largest = float(np.max(np.abs(column), initial=0.0))
     if not largest > 0.0:
         return column
@@ -86,12 +83,12 @@ def scaled_to_unit_rms(column: Floats) -> Floats:
     return scaled / float(np.sqrt(np.mean(scaled**2)))
 
 
-N_HARMONICS = 5
-"""Number of harmonics that represent a periodic function of any shape."""
+N_HARMONICS_OF_CYCLE = 5
+"""Number of harmonics of which a search composes a periodic function of any shape (cycle)."""
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
-    """Cosines and sines (n, 2 n_harmonics) of 1 to `n_harmonics` times n phases (n,) [rad], with rms of about one."""
+    """Cosines and sines (n, 2 n_harmonics) of 1 to `n_harmonics` times n phases (n,) [rad]; the rms is about one."""
     return np.sqrt(2.0) * _unit_phasors(phase, n_harmonics).view(np.float64)
 
 
@@ -102,10 +99,10 @@ def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
-    """Columns (n, k) of a smooth curve in a covariate with the name `name` and the n values `covariate` (n,).
+    """Columns (n, k) of a smooth curve in a covariate with n values `covariate` (n,) and the name `name`.
 
-    The k columns are a linear function and `n_modes` eigenfunctions of the Laplacian. For one of `CIRCULAR_COVARIATES`
-    they are the cosine and sine of (n_modes + 1) // 2 multiples of the angle.
+    The k columns are a linear function and `n_modes` eigenfunctions of the Laplacian. For an angle on a full circle
+    (`CIRCULAR_COVARIATES`) they are cosine and sine of (n_modes + 1) // 2 multiples of the angle.
     """
     if name in CIRCULAR_COVARIATES:
         return fourier_columns(covariate, (n_modes + 1) // 2)
@@ -120,28 +117,32 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 
 @cache
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
-    """Prior standard deviations (k,) of the k coefficients of a smooth curve, one array per length scale.
+    """Prior standard deviations (k,) of the k coefficients of a smooth curve: one array per length scale.
 
-    `is_circular` is True for an angle on a full circle. A last array is the prior of a random walk, unless the
-    covariate is circular or `n_modes` is `N_MODES_IN_PRODUCT`.
+    `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; it is omitted for
+    an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
     """
     spreads = []
     if is_circular:
         orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
-        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]]
+        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_CURVE_MODES[n_modes]]
     else:
         rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO
         spreads = [
-            np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]
+            np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)])
+            for scale in LENGTH_SCALES_BY_N_CURVE_MODES[n_modes]
         ]
-        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_MODES_IN_PRODUCT else []
+        spreads += (
+            [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_PRODUCT_CURVE_MODES else []
+        )
     return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Column (n, 1), with an rms of one, of a function of a covariate with a constant, for n pointings.
+    """Column (n, 1), with an rms of one, of a function of a covariate in n pointings.
 
-    `function_name` is a key of `FORMULA_FUNCTIONS`, or `HYSTERESIS_FUNCTION`.
+    `function_name` is a key of `FORMULA_FUNCTIONS`, or `HYSTERESIS_FUNCTION`; `constant` is the constant of the
+    function.
     """
     x = sightings.covariate_values[covariate]
     if function_name == HYSTERESIS_FUNCTION:
@@ -157,10 +158,10 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
 
 
 def play_operator(input_values: Floats, half_width: float) -> Floats:
-    """Output (n,) of a play operator for a sequence of n inputs (n,).
+    """Output (n,) of a play operator (mechanical hysteresis) for a sequence of n inputs (n,).
 
-    The output stays constant until the input differs from it by `half_width`, and then follows at this distance. This
-    is the operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+    The output stays constant until the input differs from it by `half_width`, and then follows the input at this
+    distance (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
     output = np.empty_like(input_values)
     present_value = float(input_values[0]) if len(input_values) else 0.0
@@ -173,11 +174,11 @@ def play_operator(input_values: Floats, half_width: float) -> Floats:
 def polynomial_field_columns(
     sightings: Sightings, names: Sequence[str], origin_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns (n, 4) or (n, 10) for n pointings of a linear or quadratic polynomial of the position in the hall.
+    """Columns (n, 4) or (n, 10) in n pointings of a linear or quadratic polynomial of the target's position.
 
-    The four columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
-    coordinates follow. The coordinates are the covariates `names` minus their mean over the pointings to
-    `origin_targets`, or to all targets if this is empty.
+    The four columns are a constant and three scaled coordinates. If `is_quadratic`, six products of two coordinates
+    follow. The coordinates are the covariates `names` minus their mean over the pointings to `origin_targets` (all
+    targets if empty).
     """
     place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
     ids = [i for name in origin_targets for i in sightings.target_indices_by_name[name]]
@@ -191,9 +192,9 @@ def polynomial_field_columns(
 
 
 def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
-    """Columns (n, 2) for n pointings: a covariate after a first-order lag, and the covariate minus the lagged one.
+    """Columns (n, 2) in n pointings: a covariate after a first-order lag, and the covariate minus its lagged value.
 
-    Each column has an rms of one. `time_constant` is in seconds.
+    Each column has an rms of one. `time_constant` [s] is the time constant of the lag.
     """
     x = sightings.covariate_values[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else x - x.mean()
@@ -202,9 +203,9 @@ def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant:
 
 
 def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: float) -> Floats:
-    """Values (n,) of a quantity at n pointings after a first-order lag, from its `unlagged_values` (n,).
+    """Values (n,) of a quantity in n pointings after a first-order lag, from its `unlagged_values` (n,).
 
-    The lag has the time constant `time_constant` [s]. Before the first pointing the quantity counts as constant.
+    The lag has the time constant `time_constant` [s]. Before the first pointing the quantity is taken as constant.
     """
     row_order = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[row_order], prepend=sightings.time[row_order[0]]) / time_constant)
@@ -217,9 +218,9 @@ def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: 
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Mean (n, k) of k columns `columns` (n, k) over those of n pointings that are in the same group.
+    """Columns (n, k) in which the value of each of n pointings is replaced by the mean over its group.
 
-    `groups` (n,) are the indices of the groups of the pointings.
+    `columns` (n, k) are the original columns, and `groups` (n,) the indices of the groups of the pointings.
     """
     is_member = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
@@ -227,8 +228,8 @@ def group_means(columns: Floats, groups: Ints) -> Floats:
 
 
 def indicator_columns(group_indices: Ints, column_groups: Ints | Sequence[int]) -> Floats:
-    """Indicator columns (n, k) of k groups of n pointings: 1 for the pointings of the column's group, 0 for all others.
+    """Indicator columns (n, k) of k groups of pointings: 1 for the pointings of the group, 0 for the others.
 
-    `group_indices` (n,) are the groups of the pointings, `column_groups` (k,) those of the columns.
+    `group_indices` (n,) are the groups of the n pointings, `column_groups` (k,) the groups of the columns.
     """
     return (group_indices[:, None] == np.asarray(column_groups)).astype(np.float64)

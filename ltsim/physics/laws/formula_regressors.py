@@ -1,4 +1,4 @@
-"""Functions with at most one constant that may replace a smooth curve of the same covariate in a law."""
+"""Formulas with at most one constant, which may replace the smooth curve of a covariate in a law."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,19 +10,19 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_re
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Covariates that are angles, whose sines, cosines and tangents a search tries."""
+"""Covariates that are angles; a search tries their sines, cosines and tangents."""
 SAW_TOOTH_PERIOD_FRACTIONS = np.array([1.0, 0.5, 0.25, 0.125])
-"""Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
-CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
-"""Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
+"""Periods of saw-tooth functions that a search tries, as fractions of the span of the covariate."""
+FORMULA_CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
+"""Constants of decays, saturations and dead bands that a search tries, as fractions of the span of the covariate."""
 
 
 def formula_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
-    """Iterator over functions of the `covariate` with at most one constant.
+    """Iterator over formulas of the `covariate` with at most one constant, which a search tries.
 
-    If `is_reduced_set`, there are fewer functions, to limit the number of products with functions of other covariates.
+    If `is_reduced_set`, there are fewer formulas, which limits the number of products with other regressors.
     """
-    times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
+    times = FORMULA_CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
     circular = covariate in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if is_reduced_set else 7):

@@ -1,7 +1,4 @@
-"""Empirical law: a reading or instrument constant that is a function of a regressor.
-
-Laws have the same interface as the physical effects of the catalogue.
-"""
+"""Empirical law: a change of a reading or instrument constant that is a function of a regressor."""
 
 from __future__ import annotations
 
@@ -14,12 +11,13 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT, N_MODES_OF_FINER_CURVE, indicator_columns
+from ltsim.physics.laws.accumulations import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_FINER_CURVE_MODES, N_PRODUCT_CURVE_MODES, indicator_columns
 from ltsim.physics.laws.formula_regressors import formula_regressors
-from ltsim.physics.laws.places import MIN_GROUP_SIZE
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressor_library import (
-    LAG_TIME_CONSTANTS,
-    MAX_SEPARATE_VALUES,
+    CANDIDATE_LAG_TIME_CONSTANTS,
+    MAX_SEPARATE_AMOUNTS,
     WAVE_FREQUENCY_STEP,
     contains_several_targets,
 )
@@ -33,102 +31,106 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
 )
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME, Response
-from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
-"""Regressor with the sign of the face, +1 or -1. An elevation error proportional to this sign is an error of the
-vertical index.
-"""
-MAX_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a search tries steps and ramps."""
+"""Regressor that is +1 in face 1 and -1 in face 2. An elevation error proportional to it is an error of the vertical
+index."""
+MAX_CANDIDATE_STEP_POSITIONS = 41
+"""Largest number of values of a covariate at which a search tries a step or ramp of a law."""
 PER_SETUP_CHANGED_PARTS = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for which a law may have separate coefficients in each set-up."""
-MAX_SWITCH_EDGE_POSITIONS = 60
-"""Largest number of values of a covariate at which a search lets a law turn on or off (switch)."""
+"""Parts of the measurement (`Response.changed_part`) for whose laws a search tries separate coefficients in each
+set-up."""
+MAX_CANDIDATE_SWITCH_EDGES = 60
+"""Largest number of values of a covariate at which a search tries to turn a law on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps in a law that a local search moves; a law with more of them is not moved."""
+"""Largest number of steps and ramps of a law for which a local search tries other positions, because each costs
+time."""
 MAX_STEP_MOVE_GAPS = 6
-"""Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
-smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
+"""Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
+number of gaps between two steps (a few pointings do not determine the size of a step)."""
 FUNCTIONS_WITH_SCALED_CONSTANT = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Names of functions and of kinds of regressors with a positive constant, which a local search multiplies by 0.6 to
-1.7."""
+"""Names of functions, and kinds of regressors, with a positive constant that a local search multiplies by factors
+from 0.6 to 1.7."""
 LATCH_THRESHOLD_SHIFT_FRACTIONS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Changes of thresholds of a latch (`latch_regressor`) in a local search, as fractions of the covariate's span."""
+"""Changes of the thresholds of a latch that a local search tries, as fractions of the span of the covariate."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a change of one quantity (the response) that depends on a regressor."""
+    """Empirical law: a change of one quantity of the measurement (the response) as a function of a regressor."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets at which the law acts; empty for all."""
     response: Response = RESPONSE_AND_DESIGN_BY_NAME["distance"][0]
-    """Quantity of the forward model that the law changes."""
+    """Response: quantity of the measurement, such as the vertical index, that the law changes."""
     regressor: Regressor = CONSTANT_REGRESSOR
-    """Function of covariates on which the response depends."""
+    """Regressor: function of covariates, such as a wave in time, to which the change is proportional."""
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     length_scale_index: int = 0
-    """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`, which has one per length scale."""
+    """Index of the length scale of the regressor's smooth curve, which selects the prior in
+    `Regressor.coefficient_sigmas`."""
     has_coefficients_per_setup: bool = False
-    """True if each set-up has separate coefficients."""
-    direction: tuple[float, ...] = ()
-    """Fixed ratio of the c components of the response, as a unit vector (c,); empty for separate coefficients.
+    """True if the law has separate coefficients for each set-up."""
+    component_ratio: tuple[float, ...] = ()
+    """Fixed ratio of the c components of the response, as a unit vector (c,); empty if each component has separate
+    coefficients.
 
-    With a ratio all components share one set of coefficients. If S set-ups are separate, the ratio has c S elements.
+    With a fixed ratio all components have the same coefficients. If the law is separate for S set-ups, the ratio has c
+    S elements.
     """
 
     name = "unknown"
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with priors, one per component of the response and column of the regressor (and set-up)."""
+        """Coefficients with priors: one per component of the response and column of the regressor (and per set-up)."""
         spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
         n, unit = self.n_setup_components, self.response.display_unit
-        spreads = spread * np.sqrt(n) if self.direction else np.tile(spread, n)
+        spreads = spread * np.sqrt(n) if self.component_ratio else np.tile(spread, n)
         return tuple(Parameter(f"coefficient {i}", unit, "coefficient", float(s)) for i, s in enumerate(spreads, 1))
 
     @property
     def n_setup_components(self) -> int:
-        """Number of components of the response, times the number of set-ups if they have separate coefficients."""
+        """Number of components of the response, multiplied by the number of set-ups with separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.has_coefficients_per_setup else 1)
 
     @property
     def observables(self) -> tuple[str, ...]:
-        """Observables that the law changes."""
+        """Names of the observables that the law changes."""
         return self.response.observables or OBSERVABLES
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Names in files of the covariates on which the law depends."""
+        """Names of the law's covariates as they are written to files."""
         return self.regressor.covariate_names_in_files
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the three raw readings of n pointings per unit of each of k coefficients."""
+        """Derivatives (n, 3, k) of the raw readings of n pointings with respect to the k coefficients of the law."""
         _, response_design = RESPONSE_AND_DESIGN_BY_NAME[self.response.name]
-        derivatives = self.change_by_shared_coefficient(response_design(sightings), sightings)
+        derivatives = self.change_by_common_coefficient(response_design(sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
-    def change_by_shared_coefficient(
+    def change_by_common_coefficient(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
-        """Change (r, ..., 1) of the readings of r pointings per unit of the coefficient that all components share.
+        """Derivatives (r, ..., 1) of the readings of r pointings by the common coefficient of all components.
 
-        `component_changes` (r, ..., c) are the changes per unit of each of c components, which `direction` combines; a
-        law without a direction returns them unchanged. `rows` (r,) are the indices of the pointings, by default all.
+        `component_changes` (r, ..., c) are the derivatives with respect to each of c components, which
+        `component_ratio` combines; a law without a fixed ratio returns them unchanged. `rows` (r,) are the indices of
+        the pointings, by default all.
         """
-        if not self.direction:
+        if not self.component_ratio:
             return component_changes
-        ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
+        ratios = np.reshape(self.component_ratio, (len(self.response.component_names), -1)).T
         if self.has_coefficients_per_setup:
             position = np.full(len(sightings.station_names), -1)
             position[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
@@ -140,13 +142,13 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k) of the regressor at n pointings, zero at stations and targets where the law does not act.
+        """Columns (n, k) of the regressor in n pointings, zero at stations and targets where the law does not act.
 
-        If S set-ups have separate coefficients and no `direction`, each has k columns, and the shape is (n, S k).
+        If S set-ups have separate coefficients and no fixed `component_ratio`, the shape is (n, S k).
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.changed_part == "target")
         columns = columns * self.pointing_indicator(sightings)[:, None]
-        if not self.has_coefficients_per_setup or self.direction:
+        if not self.has_coefficients_per_setup or self.component_ratio:
             return columns
         setup_indices = [sightings.station_names.index(name) for name in self.stations]
         is_at_setup = indicator_columns(sightings.station, setup_indices)
@@ -154,11 +156,11 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def depends_on_permanent_region(self) -> bool:
-        """True if the law depends on a region of the hall during the whole measurement."""
+        """True if the law depends on a region of the hall that acts during the whole measurement."""
         return self.regressor.region is not None
 
     def without_time_limit(self) -> EmpiricalLaw:
-        """Law of a region of the hall without the switch or step in time that limits it; otherwise the law itself."""
+        """Copy of a law of a region of the hall that acts during the whole measurement; any other law itself."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -170,25 +172,25 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def region_centre_axes(self) -> str:
-        """Axes of the coordinates of `region_centre`, such as `xy`."""
+        """Axes of the coordinates in `region_centre`, such as `xy`."""
         return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:
-        """Copy of the law with its region of the hall centred at `centre` [m]."""
+        """Copy of the law whose region of the hall has its centre at `centre` [m]."""
         region = self.regressor.hall_region
         if region is None:
             return self
         return replace(self, regressor=self.regressor.with_region(replace(region, centre=centre)))
 
     def neighbours(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Variants of the law for a local search: one constant, step, frequency or region is slightly changed."""
+        """Copies of the law that a local search tries, each with one slightly changed constant, step or region."""
         regressor = self.regressor
         if regressor.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.covariate_values[regressor.covariates[0]]))
             rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
         if self._movable_regressor is not None:
-            return self._with_moved_pieces(sightings, self._movable_regressor)
+            return self._with_moved_steps(sightings, self._movable_regressor)
         if regressor.hall_region is not None:
             is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
             neighbours = [
@@ -205,7 +207,7 @@ class EmpiricalLaw(CandidateEffect):
         return []
 
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Copies of the law in which one of the two thresholds of its latch is moved."""
+        """Copies of the law with one of the two thresholds of its latch changed slightly."""
         regressor = self.regressor
         steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_SHIFT_FRACTIONS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
@@ -214,13 +216,13 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def _movable_regressor(self) -> Regressor | None:
-        """Regressor of steps, ramps or a switch that a local search moves; None without one, or with a region."""
+        """Regressor of steps, ramps or a switch that a local search moves; None without one, or for a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_STEPS_IN_MOVED_LAW]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
-    def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
-        """Laws with one of `steps` moved to another gap between values of the covariate, or with another lag."""
+    def _with_moved_steps(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
+        """Copies of the law with one of `steps` at another gap between values of the covariate, or with another lag."""
         x = np.unique(sightings.covariate_values[steps.covariates[0]][self.pointing_indicator(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
@@ -236,7 +238,7 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
     def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with `new_factor` in place of `old_factor`, the regressor or one of its factors."""
+        """Copy of the law with `new_factor` in place of `old_factor`, which is its regressor or one of its factors."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
@@ -259,15 +261,12 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
     def candidate_forms_by_kind(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Alternative forms of the law by kind, `curve` or `formula`.
-
-        Each form is a list of laws that differ only in the length scale.
-        """
+        """Other forms of the law by kind (`curve`, `formula`): lists of laws that differ only in the length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
-            n_modes = N_MODES_OF_FINER_CURVE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
+            n_modes = N_FINER_CURVE_MODES if regressor.constant > N_PRODUCT_CURVE_MODES else N_CURVE_MODES
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
-        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_VALUES and self.response.changed_part == "target":
+        if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_SEPARATE_AMOUNTS and self.response.changed_part == "target":
             per_target = regressor.with_amount_per_target(self.targets)
             forms["members"] = [replace(self, regressor=per_target, length_scale_index=0)]
         if regressor.kind == "wave":
@@ -279,18 +278,18 @@ class EmpiricalLaw(CandidateEffect):
         return {kind: [with_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
 
     def candidate_steps_and_ramps(self, sightings: Sightings) -> list[Regressor]:
-        """Steps and ramps at gaps between values of the covariate, for a sum that may replace the law's curve."""
+        """Steps and ramps, at gaps between values of the covariate, whose sum may replace the law's smooth curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
         name = curved[0].covariates[0]
         x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_STEP_POSITIONS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_CANDIDATE_STEP_POSITIONS).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def with_steps_and_ramps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with the sum of the steps and ramps `steps` in place of its smooth regressor."""
+        """Copy of the law with a sum of the given steps and ramps in place of its smooth curve."""
         pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
             pieces = replace(regressor, factors=tuple(pieces if f.kind == "smooth" else f for f in regressor.factors))
@@ -298,41 +297,41 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def switchable_factor(self) -> Regressor | None:
-        """Curve or wave that a switch may replace: the regressor itself or its factor of time; None without one."""
+        """Curve or wave (the regressor, or its factor of time) that a switch may replace; None without one."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
         curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
         return next(curves, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_steps(self, sightings: Sightings) -> list[Regressor]:
-        """Single steps at which a switch may turn on or off: of the covariate, or of time for a law of a region."""
+        """Steps at which a switch may turn the law on or off: of its covariate, or of time for a law of a region."""
         curve = self.switchable_factor
         if curve is None and not self.depends_on_permanent_region:
             return []
         name = curve.covariates[0] if curve else "time"
         x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGE_POSITIONS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_CANDIDATE_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a sum of steps, each with a separate coefficient, as the regressor or a factor of it."""
+        """Copy of the law with a sum of steps, each with a separate coefficient, as its regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 
     def with_switch(self, edge_steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch that turns on and off at `edge_steps`, as the regressor or a factor of it."""
+        """Copy of the law with a switch, which turns on and off at `edge_steps`, as its regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
-        """Regressor in which steps or a switch replace the curve or wave, or multiply the path through a region."""
+        """Regressor in which `gate_regressor` (steps or a switch) replaces a curve or wave, or multiplies a path."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
         return Regressor("product", factors=(gate_regressor, *others)) if others else gate_regressor
 
     def equivalent_vertical_index_law(self, sightings: Sightings) -> EmpiricalLaw:
-        """Law of the vertical index that is equivalent to this law of the elevation; without one, the law itself.
+        """Law of the vertical index that is equivalent to this law of the elevation; if there is none, the law itself.
 
-        The laws are equivalent if the error of the elevation changes sign with the face. If all readings are on one
+        The laws are equivalent if the error of the elevation changes sign with the face. If all readings are in one
         face, they are equivalent if the law depends only on time or on additional columns of the recording.
         """
         if self.response.name != "elevation":
@@ -348,28 +347,28 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Law with separate coefficients for each set-up; None for a product, or a law of some stations or targets."""
+        """Copy of the law with coefficients per set-up; None for a product, or a law of some stations or targets."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
             self.regressor.kind in ("product", "amounts") or self.response.changed_part not in PER_SETUP_CHANGED_PARTS
         )
-        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_VALUES:
+        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_AMOUNTS:
             return None
         return replace(self, stations=stations, has_coefficients_per_setup=True)
 
     def law_at_setup_of_largest_effect(
         self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
-        """Law restricted to the set-up where its effect is largest, with the direction of its largest change there.
+        """Law at the set-up where its change is largest, the direction of this change, its coefficients and covariance.
 
-        The tuple contains the law, the direction, the coefficients at this set-up (c, k) for k columns, and their
-        covariance (c, k, c, k). The direction is a unit vector (c,) of the c components of the response, or one
-        component if their units differ. The arguments are mean and covariance of all coefficients [SI].
+        The coefficients (c, k) and their covariance (c, k, c, k) are those of c components and k columns at this
+        set-up. The direction is a unit vector (c,), or a single component if the units of the components differ. The
+        arguments are mean and covariance of all coefficients [SI].
         """
         n_components, k = len(self.response.component_names), self.regressor.n_columns
-        if self.direction:
-            ratios = np.array(self.direction)
+        if self.component_ratio:
+            ratios = np.array(self.component_ratio)
             coefficient_mean = np.kron(ratios, coefficient_mean).astype(np.float64)
             coefficient_covariance = np.kron(np.outer(ratios, ratios), coefficient_covariance).astype(np.float64)
         shape = (n_components, len(coefficient_mean) // (n_components * k), k)
@@ -381,7 +380,9 @@ class EmpiricalLaw(CandidateEffect):
         largest = int(np.argmax(size)) if self.has_coefficients_per_setup else 0
         law = self
         if self.has_coefficients_per_setup:
-            law = replace(self, stations=(self.stations[largest],), has_coefficients_per_setup=False, direction=())
+            law = replace(
+                self, stations=(self.stations[largest],), has_coefficients_per_setup=False, component_ratio=()
+            )
         moved = columns[law.pointing_indicator(sightings) > 0] @ means[:, largest].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
         main_direction = np.linalg.svd(moved, full_matrices=False)[2][0]
@@ -392,7 +393,7 @@ class EmpiricalLaw(CandidateEffect):
 
 
 def _candidate_lags(steps: Regressor) -> list[float]:
-    """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other `steps`."""
+    """Lags [s] that a local search tries for a switch in time in place of its lag; empty for other regressors."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
-    return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)
+    return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(CANDIDATE_LAG_TIME_CONSTANTS)

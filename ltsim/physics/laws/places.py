@@ -1,4 +1,4 @@
-"""Set-ups, instruments, targets and groups of related targets at which a law may act."""
+"""Places at which a law may act: set-ups, instruments, targets, and groups of related targets."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,32 +11,32 @@ from scipy.sparse.csgraph import connected_components
 from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
-NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest neighbours with which a target forms a candidate group."""
-MIN_GROUP_SIZE = 3
-"""Smallest number of targets in a group for which a law is tried, and smallest number of targets outside the group. A
-law with a separate value for each set-up is tried only with more set-ups than this number."""
-HEIGHT_WEIGHT = 5.0
-"""Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of the
-hall's extent is as large a distance as an angle of 60 deg between the normals of two nests."""
+CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
+"""Numbers of nearest neighbours with which a target forms a group for which a search tries a law."""
+MIN_GROUP_TARGETS = 3
+"""Smallest number of targets in a group, and outside the group, for which a search tries a law of the group. A law
+with a separate value for each set-up is tried only with more set-ups than this number."""
+CLUSTERING_HEIGHT_WEIGHT = 5.0
+"""Factor on heights in the clustering of targets by height and surface. A height difference of a fifth of the hall
+then counts as much as an angle of 60 deg between two nest normals."""
 
 
 @dataclass(frozen=True)
 class LawPlace:
-    """Set-ups, targets or instruments at which a law acts, and the pointings there."""
+    """Place at which a law acts: set-ups, targets or instruments, with the pointings there."""
 
     stations: tuple[str, ...]
-    """Names of the set-ups; empty for all."""
+    """Names of the set-ups at which the law acts; empty for all."""
     targets: tuple[str, ...]
-    """Names of the targets; empty for all."""
+    """Names of the targets at which the law acts; empty for all."""
     rows: Ints
     """Row indices of the pointings from these set-ups, to these targets and with these instruments."""
     instruments: tuple[str, ...] = ()
-    """Names of the instruments; empty for all."""
+    """Names of the instruments of the law; empty for all."""
 
 
 def names_and_rows(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
-    """Pairs of a name and the row indices of the pointings with this name, for each name with pointings.
+    """Pairs of a name (of a station or target) and the row indices of its pointings, for each name with pointings.
 
     `group_indices` (n,) is the index in `names` of each of n pointings.
     """
@@ -45,12 +45,12 @@ def names_and_rows(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[
 
 
 def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
-    """Names of the set-ups that made the pointings `rows` (row indices)."""
+    """Names of the set-ups of the pointings with the row indices `rows`."""
     return tuple(sightings.station_names[k] for k in np.unique(sightings.station[rows]))
 
 
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
-    """Places of laws, one per instrument in `names`, with all its set-ups; empty for a single instrument."""
+    """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
         for name, rows in names_and_rows(names, sightings.instrument)
@@ -59,40 +59,40 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 
 
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of related targets, each as a tuple of sorted target indices.
+    """Groups of related targets, for each of which a search tries a law, as tuples of sorted target indices.
 
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
     and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
     """
-    if len(sightings.target_points) < 2 * MIN_GROUP_SIZE:
+    if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
     scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     clusters = set()
     for features in (
         sightings.target_points,
         np.hstack([sightings.target_points, scaled_normals]),
-        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, scaled_normals]),
+        np.hstack([sightings.target_points[:, 2:] * CLUSTERING_HEIGHT_WEIGHT, scaled_normals]),
     ):
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        clusters |= {tuple(b) for b in tree if MIN_GROUP_SIZE <= len(b) <= len(features) - MIN_GROUP_SIZE}
+        clusters |= {tuple(b) for b in tree if MIN_GROUP_TARGETS <= len(b) <= len(features) - MIN_GROUP_TARGETS}
     return clusters
 
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of a target and its nearest neighbours, for each target, each as a tuple of sorted target indices."""
+    """Groups of each target and its nearest neighbours, as tuples of sorted target indices."""
     near = [
         np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
         for point in sightings.target_points
     ]
-    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in CANDIDATE_NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
 def groups_connected_by_lengths(
     sightings: Sightings, length_end_names: Iterable[tuple[str, str]]
 ) -> set[tuple[int, ...]]:
-    """Groups of targets that are connected by known lengths, such as the targets of a gauge, as tuples of indices.
+    """Groups of targets that known lengths connect, such as the targets of a gauge, as tuples of target indices.
 
     `length_end_names` are the pairs of names of the targets at the ends of the known lengths.
     """
@@ -105,7 +105,7 @@ def groups_connected_by_lengths(
         sp.coo_array((np.ones(len(index_pairs)), (first, second)), (count, count)), directed=False
     )
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
-    return {group for group in members if MIN_GROUP_SIZE <= len(group) <= count - MIN_GROUP_SIZE}
+    return {group for group in members if MIN_GROUP_TARGETS <= len(group) <= count - MIN_GROUP_TARGETS}
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:

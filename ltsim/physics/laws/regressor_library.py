@@ -1,9 +1,8 @@
-"""Library of the regressors that a search tries: functions of base quantities and of the order of measurement.
+"""Library of the regressors that a search tries: functions of base quantities and of the order of the pointings.
 
-Base quantities are the readings and the position of a pointing, the time, and the additional columns of the recording.
-Operators make further regressors: the value at the previous pointing, the change since then, accumulated changes, a
-first-order lag, and a separate value per station or per previous target. Each operator, and each product, multiplies
-the prior odds by `ODDS_PER_OPERATOR`.
+Base quantities are readings and position of a pointing, the time, and additional columns of the recording. Operators
+make further regressors: the value at the previous pointing, the change since then, accumulated changes, a lag, and a
+value per station or previous target. Each operator, and each product, multiplies the prior odds by `ODDS_PER_OPERATOR`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,13 +12,21 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
-from ltsim.physics.laws.places import MIN_GROUP_SIZE
+from ltsim.physics.laws.accumulations import (
+    ACCUMULATED_COVARIATES,
+    CANDIDATE_DECAY_TIME_FRACTIONS,
+    TIME_DECAY_FUNCTION,
+    candidate_accumulation_keys,
+    candidate_latch_keys,
+)
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
     DEFLECTION_FUNCTION,
     Regressor,
+    accumulation_regressor,
     group_amounts_regressor,
     latch_regressor,
     name_without_memory_prefix,
@@ -28,16 +35,8 @@ from ltsim.physics.laws.regressors import (
     piecewise_regressor,
     scalar_regressor,
     smooth_regressor,
-    state_regressor,
     switch_regressor,
     with_position_dependence,
-)
-from ltsim.physics.laws.states import (
-    DECAY_TIME_FRACTIONS,
-    STATE_INPUTS,
-    TIME_DECAY_FUNCTION,
-    candidate_latches,
-    candidate_state_keys,
 )
 from ltsim.scene.regions import HallRegion, candidate_regions, is_passed_by_enough_sights
 from ltsim.scene.sightings import Sightings
@@ -45,36 +44,35 @@ from ltsim.scene.sightings import Sightings
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
 """Names of the three raw readings as covariates."""
 MEMORYLESS_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
-"""Covariates that do not depend on earlier pointings."""
+"""Names of the covariates that do not depend on earlier pointings."""
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
-"""Covariates that are readings of a circle, which differ between the faces."""
+"""Names of the covariates that are readings of a circle, which differ between the faces."""
 _NEST_COVARIATES = ("incidence", "nest-direction")
-"""Covariates that need the normals of the nests."""
+"""Names of the covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Covariates with few values, such as the face. A law is proportional to such a covariate; no function of it is tried.
-"""
+"""Names of covariates with few values, such as the face. A law is proportional to them; no function is tried."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
-"""Accumulated rotations of the axes since the set-up began."""
+"""Names of the covariates that are the total rotation of an axis since the set-up began."""
 MEMORY_OPERATOR_PREFIXES = ("last", "move", "work")
-"""Prefixes of covariates: value at the previous pointing, change since then, sum of all absolute changes."""
+"""Prefixes of covariates: value at the previous pointing (`last`), change since (`move`), sum of changes (`work`)."""
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
     "count",
     *(f"{how}-{name}" for how in MEMORY_OPERATOR_PREFIXES for name in RAW_READING_NAMES),
 )
-"""Covariates that depend on preceding pointings."""
+"""Names of the covariates that depend on earlier pointings."""
 BUILTIN_COVARIATES = tuple(
     dict.fromkeys(
         (*MEMORYLESS_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
     )
 )
-"""All covariates that are derived from the pointings; columns of the recording are further covariates."""
+"""Names of the covariates that follow from the pointings; columns of the recording are further covariates."""
 _HEAD_COVARIATES = (
     *("azimuth", "elevation", *_CIRCLE_COVARIATES, *_SIGN_COVARIATES),
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
-"""Covariates that are angles or motions of the tracker head."""
+"""Names of the covariates that are angles or motions of the tracker head."""
 COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "instrument": (
         *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
@@ -89,40 +87,36 @@ COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the recording. The
-position of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head
-is not balanced exactly and the floor yields under the operator."""
-MIN_EFFECTIVE_TARGETS = 2.5
-"""Effective number of targets in a region of the hall, above which a law of the targets in it is tried. With fewer
-targets, the error is one of a single target."""
+"""Names of the covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the
+recording. The position of a wall cannot depend on the direction in which a tracker points. The position of a stand
+can, because a head is not balanced exactly."""
+MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
+"""Effective number of targets in a region of the hall above which a search tries a law of these targets."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Shapes of the regions for laws that depend on the distance of targets from a position."""
+"""Axes that limit the regions of laws which depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
-"""Shapes of the regions that may act during a part of the measurement."""
-TIME_PART_COUNTS = (2, 4)
-"""Numbers of equal parts into which the measurement is divided; a region of the hall may act in one part only."""
-HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
-DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
-LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
+"""Axes that limit the regions which may act during a part of the measurement."""
+CANDIDATE_TIME_PART_COUNTS = (2, 4)
+"""Numbers of equal parts into which a search divides the measurement; a region of the hall may act in one part only."""
+CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
+"""Half-widths of hysteresis loops that a search tries, as fractions of the span of the covariate."""
+CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
+"""Limits of dead bands that a search tries, as quantiles of the motions of an axis between pointings."""
+CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
-MAX_SEPARATE_VALUES = 12
-"""Largest number of groups (set-ups, instruments, targets) for which a search tries a law with a separate value for
-each group, because more coefficients fit any errors. It is also the largest number of times at which a search tries a
-step, and the smallest number of distinct times in a recording that a search divides into parts."""
-MAX_SEPARATE_TARGET_VALUES = 60
+MAX_SEPARATE_AMOUNTS = 12
+"""Largest number of set-ups, instruments or targets with separate values in a law (more would fit any errors), and
+number of times at which a search tries a step."""
+MAX_SEPARATE_TARGET_AMOUNTS = 60
 """Largest number of targets for which a search tries a law with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
-"""Spacing of the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a frequency
-between two of them still correlates with one.
-"""
-MAX_WAVE_CYCLES = 60
-"""Largest number of cycles over the covariate's span of a wave that a search tries."""
+"""Spacing of the frequencies of the waves that a search tries, in cycles over the span of the covariate."""
+MAX_CANDIDATE_WAVE_CYCLES = 60
+"""Largest number of cycles, over the span of the covariate, of a wave that a search tries."""
 MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
 ODDS_PER_OPERATOR = 1.0 / 3.0
-"""Factor on the prior odds of a regressor for each operator, and for each factor of a product after the first."""
+"""Factor on the prior odds of a regressor for each operator (such as a lag), and for each factor after the first."""
 N_OPERATORS_BY_REGRESSOR_KIND = {
     "constant": 0,
     "sign": 0,
@@ -145,7 +139,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Exponent of `ODDS_PER_OPERATOR` by kind of regressor: number of operators plus number of factors after the first."""
+"""Number of operators (such as a lag) plus further factors, by kind of regressor: exponent of `ODDS_PER_OPERATOR`."""
 
 
 def varying_column_names(sightings: Sightings) -> list[str]:
@@ -155,7 +149,7 @@ def varying_column_names(sightings: Sightings) -> list[str]:
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of the given `covariates` that have varying values in these sightings."""
+    """Names of the given `covariates` with values that vary in these sightings."""
     has_nests, faces = np.isfinite(sightings.incidence_angle).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
@@ -164,8 +158,8 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     return [n for n in asked if np.ptp(sightings.covariate_values[n]) > floor[n]]
 
 
-def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response with this `Response.changed_part` can depend on a regressor; a `reading` can depend on all."""
+def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
+    """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return changed_part == "reading" or all(
         n in COVARIATES_BY_CHANGED_PART[changed_part] or name_without_memory_prefix(n) in sightings.covariates
@@ -173,8 +167,8 @@ def is_admissible(changed_part: str, regressor: Regressor, sightings: Sightings)
     )
 
 
-def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; a smooth curve has `n_modes` basis functions."""
+def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> dict[str, list[Regressor]]:
+    """Regressors that a search tries, by kind; a smooth curve has `n_modes` eigenfunctions."""
     s, columns = sightings, varying_column_names(sightings)
     base = _varying_covariates(s, (*MEMORYLESS_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
@@ -190,14 +184,14 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             scalar_regressor(n, "decay", float(t))
             for n in CLOCK_COVARIATES
             if n in base
-            for t in np.ptp(s.covariate_values[n]) * DECAY_TIME_FRACTIONS
+            for t in np.ptp(s.covariate_values[n]) * CANDIDATE_DECAY_TIME_FRACTIONS
         ],
         "memory": [
             *(smooth_regressor(name, n_modes) for name in before),
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*per_setup_regressors(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*per_setup_regressors(s, MIN_GROUP_TARGETS + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -207,7 +201,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(
                 scalar_regressor(n, "hysteresis", float(k))
                 for n in turning
-                for k in np.ptp(s.covariate_values[n]) * HYSTERESIS_HALF_WIDTHS
+                for k in np.ptp(s.covariate_values[n]) * CANDIDATE_HYSTERESIS_HALF_WIDTHS
             ),
             *dead_band_regressors(s),
         ],
@@ -220,38 +214,41 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             for region in candidate_regions(s, NEARNESS_REGION_SHAPES)
             if contains_several_targets(region, s)
         ],
-        "state": [state_regressor(*made) for made in candidate_state_keys(s, _varying_covariates(s, STATE_INPUTS))],
+        "state": [
+            accumulation_regressor(*made)
+            for made in candidate_accumulation_keys(s, _varying_covariates(s, ACCUMULATED_COVARIATES))
+        ],
         "latch": [
             latch_regressor(*made)
-            for made in candidate_latches(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
+            for made in candidate_latch_keys(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
         ],
         "product": list(product_regressors(s)),
     }
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors for causes that act only in short motions of an axis; they are zero for long motions."""
+    """Regressors for causes that act only in short motions of an axis; they are zero in long motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
-        for k in np.unique(np.quantile(np.abs(sightings.covariate_values[name]), DEAD_BAND_QUANTILES))
+        for k in np.unique(np.quantile(np.abs(sightings.covariate_values[name]), CANDIDATE_DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
         if k > SQRT_MACHINE_EPSILON
     ]
 
 
 def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
-    """True if the effective number of targets in a region is above `MIN_EFFECTIVE_TARGETS`."""
-    return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS
+    """True if the effective number of targets in a region exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
+    return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions that act in one part of the measurement; `function` is empty or `DEFLECTION_FUNCTION`."""
+    """Regressors of regions of the hall that act during a part of the measurement; `function` as in `Regressor`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
-    if len(time) < MAX_SEPARATE_VALUES or not regions:
+    if len(time) < MAX_SEPARATE_AMOUNTS or not regions:
         return
     passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
-    for parts in TIME_PART_COUNTS:
+    for parts in CANDIDATE_TIME_PART_COUNTS:
         at = np.linspace(0, len(time) - 1, parts + 1).round().astype(int)
         ends = [*(0.5 * (time[at[1:-1]] + time[at[1:-1] - 1])).tolist(), np.inf]
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
@@ -267,20 +264,21 @@ def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
     straight = [scalar_regressor(name, "power") for name in names]
     return [
         *straight,
-        *(smooth_regressor(name, N_MODES_IN_PRODUCT) for name in names),
+        *(smooth_regressor(name, N_PRODUCT_CURVE_MODES) for name in names),
         *lag_regressors(sightings, varying_column_names(sightings)),
     ]
 
 
 def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` (one per set-up)."""
+    """Regressors for motions of a group of targets by kind, such as `step`, `curve` or `amounts` (one per set-up)."""
     local, steps = regressors_for_single_targets(sightings), _time_step_regressors(sightings)
     each = per_setup_regressors(sightings, 2)
     return {
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
         "curve": [
-            smooth_regressor(name, N_MODES_IN_PRODUCT) for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
+            smooth_regressor(name, N_PRODUCT_CURVE_MODES)
+            for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
         ],
         "clock": local,
         "step": steps,
@@ -291,11 +289,11 @@ def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regress
 
 
 def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are a step in time, at `MAX_SEPARATE_VALUES` times spread evenly over the pointings."""
+    """Regressors that are steps in time, at `MAX_SEPARATE_AMOUNTS` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
-    if len(clock) < MAX_SEPARATE_VALUES:
+    if len(clock) < MAX_SEPARATE_AMOUNTS:
         return []
-    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_VALUES + 2).round().astype(int)[1:-1]
+    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_AMOUNTS + 2).round().astype(int)[1:-1]
     return [
         piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))])
         for i in step_indices
@@ -303,59 +301,59 @@ def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _parities_differ(sightings: Sightings) -> bool:
-    """True if a sign that alternates at changes of the target differs from a sign that alternates at each pointing."""
+    """True if a sign that alternates with each target differs from a sign that alternates with each pointing."""
     parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """List with one regressor, which has a separate value for each set-up.
-
-    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_VALUES`.
-    """
+    """Regressor with a value per set-up, in a list; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS`."""
     n_stations = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_VALUES else []
+    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_AMOUNTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     """List with one regressor, which has a separate value for each previous target; empty for too many targets."""
     n_targets = len(sightings.target_names)
-    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_VALUES else []
+    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_AMOUNTS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
-    """Regressors that depend on one of the covariates with a first-order lag, one for each of `LAG_TIME_CONSTANTS`."""
+    """Regressors that follow a covariate with a first-order lag, one for each of `CANDIDATE_LAG_TIME_CONSTANTS`."""
     varying = _varying_covariates(sightings, covariates)
     return [
         Regressor("lagging", (name,), constant=t)
-        for t in LAG_TIME_CONSTANTS
+        for t in CANDIDATE_LAG_TIME_CONSTANTS
         if np.ptp(sightings.time) > t
         for name in varying
     ]
 
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
-    """Iterator over products of two regressors, such as two curves, or the sign of the face and a curve."""
+    """Iterator over products of two regressors that a search tries, such as the sign of the face times a curve."""
     extra = varying_column_names(sightings)
     names = _varying_covariates(sightings, (*MEMORYLESS_COVARIATES[:7], *extra, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MAX_SEPARATE_VALUES:
+    if 1 < trackers <= MAX_SEPARATE_AMOUNTS:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
-            Regressor("product", factors=(smooth_regressor(name, N_MODES_IN_PRODUCT), by_instrument)) for name in names
+            Regressor("product", factors=(smooth_regressor(name, N_PRODUCT_CURVE_MODES), by_instrument))
+            for name in names
         )
     for sign in _varying_covariates(sightings, _SIGN_COVARIATES[:3]):
         yield from (
-            Regressor("product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_MODES_IN_PRODUCT)))
+            Regressor(
+                "product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_PRODUCT_CURVE_MODES))
+            )
             for name in names
         )
     weights = [scalar_regressor("distance", "power"), scalar_regressor("elevation", "power")]
     for name in _varying_covariates(sightings, ACCUMULATED_ROTATIONS):  # heat from the drives
-        state_keys = candidate_state_keys(sightings, (name,))
-        fading = [state_regressor(*key) for key in state_keys if key[1] == TIME_DECAY_FUNCTION]
+        state_keys = candidate_accumulation_keys(sightings, (name,))
+        fading = [accumulation_regressor(*key) for key in state_keys if key[1] == TIME_DECAY_FUNCTION]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += (
-        [smooth_regressor("lapse", N_MODES_IN_PRODUCT)] if np.ptp(sightings.covariate_values["lapse"]) > 0 else []
+        [smooth_regressor("lapse", N_PRODUCT_CURVE_MODES)] if np.ptp(sightings.covariate_values["lapse"]) > 0 else []
     )  # the effect of a motion may decay
     for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
         lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
@@ -367,7 +365,10 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         ) and second not in _CIRCLE_COVARIATES:
             yield Regressor(
                 "product",
-                factors=(smooth_regressor(first, N_MODES_IN_PRODUCT), smooth_regressor(second, N_MODES_IN_PRODUCT)),
+                factors=(
+                    smooth_regressor(first, N_PRODUCT_CURVE_MODES),
+                    smooth_regressor(second, N_PRODUCT_CURVE_MODES),
+                ),
             )
 
 
@@ -384,7 +385,7 @@ def wave_regressors(
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
     """Iterator over waves in the given covariates, with frequencies that 1 / `n_parts` of the pointings can resolve."""
-    max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
+    max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_CANDIDATE_WAVE_CYCLES) / n_parts
     for name in covariates:
         for rate in wave_frequencies(sightings, name, max_waves):
             yield Regressor("wave", (name,), constant=float(rate))

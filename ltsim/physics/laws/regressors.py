@@ -1,6 +1,6 @@
-"""Regressors: functions of covariates on which an unknown error may depend.
+"""Regressors: functions of covariates (quantities of a pointing, such as its time) on which an error may depend.
 
-A regressor has k columns in the design matrix, and a prior of their coefficients.
+A regressor has k columns in the design matrix, and a prior of their k coefficients.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.laws.accumulations import accumulation_column, latch_column as latched
 from ltsim.physics.laws.columns import (
     CIRCULAR_COVARIATES,
     MEMORY_COVARIATE_PREFIXES,
-    N_HARMONICS,
-    N_MODES_DEFAULT,
+    N_CURVE_MODES,
+    N_HARMONICS_OF_CYCLE,
     first_order_lag_columns,
     fourier_columns,
     function_column,
@@ -29,12 +30,11 @@ from ltsim.physics.laws.columns import (
     smooth_curve_columns,
     smooth_curve_sigmas,
 )
-from ltsim.physics.laws.states import latch_column as latched, state_column
 from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 CLOCK_COVARIATES = ("time", "station-time")
-"""Covariates that are times."""
+"""Names of the covariates that are times."""
 COVARIATE_NAMES_IN_FILES = {
     "station": "place",
     "x": "place",
@@ -51,21 +51,21 @@ COVARIATE_NAMES_IN_FILES = {
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
-"""Names of covariates in files, by their names in this package, if both names differ."""
+"""Names of covariates in files by their names in this package, if both names differ."""
 
 
 MEMORY_OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
-"""Covariates, such as the azimuth, whose value at the previous pointing, or change since then, is a covariate too."""
+"""Names of covariates whose value at the previous pointing, and whose change since then, are covariates too."""
 
 
 def name_without_memory_prefix(covariate: str) -> str:
-    """Name of a covariate without a prefix of `MEMORY_COVARIATE_PREFIXES`, such as `azimuth` for `last-azimuth`."""
+    """Name of a covariate without a prefix that refers to earlier pointings, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
     return base if base and f"{how}-" in MEMORY_COVARIATE_PREFIXES else covariate
 
 
 def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names in files of the given covariates; all that depend on previous motions of the head are named `approach`."""
+    """Names in files of the given covariates; all that depend on earlier motions of the head are called `approach`."""
     memory = {
         name
         for name in covariates
@@ -87,7 +87,7 @@ def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Regressor:
-    """Regressor: the function of covariates on which an unknown error depends.
+    """Regressor: a function of covariates (such as the time) to which an unknown error is proportional.
 
     The kinds of functions are:
 
@@ -104,48 +104,49 @@ class Regressor:
     - `passage`: the length of the line of sight in a region of the hall. With the function `lever` each part of this
       length is weighted by the fraction of the line beyond it.
     - `near`: 1 for a target at the centre of a region, decreasing with the distance of the target.
-    - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.states`).
+    - `state`: an accumulated quantity, which decays or is reset (`laws.accumulations`).
     - `latch`: 1 after a covariate rose above the threshold `constant`, 0 after it fell below `release_threshold`.
     """
 
     kind: str
     """Kind of the function, such as `smooth`, `wave`, `product` or `amounts`."""
     covariates: tuple[str, ...] = ()
-    """Names of the quantities of a pointing that the function depends on."""
+    """Names of the covariates (quantities of a pointing) of the function."""
     function: str = ""
-    """Name of the function of a `simple`, `state` or `passage` regressor."""
+    """Name of the function, for the kinds `simple`, `state` and `passage`."""
     constant: float = 0.0
-    """Constant of a formula, wave, state or latch; time constant [s] of a lag, also of a switch (0 for no lag).
+    """Constant of the function, for the kinds `simple`, `wave`, `cycle`, `state` and `latch`. Time constant [s] of a
+    lag, also of a switch (0 for no lag).
 
     For other kinds it is a number: of eigenfunctions of a curve, of amounts, or of pieces; for a field it is the order
     of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
-    """Regressors that the function combines: factors of a product, steps and ramps, or the steps of a switch."""
+    """Regressors of which this one consists: the factors of a product, the steps and ramps of a sum, or the steps of
+    a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
-    """Names of the targets whose mean position is the origin of a field, or that have separate amounts; empty for
-    all."""
+    """Names of targets: those whose mean position is the origin of a field, or those with separate amounts; empty
+    for all."""
     region: HallRegion | None = None
-    """Region of the hall on which a `passage` or `near` regressor depends."""
+    """Region of the hall of a `passage` or `near` regressor; None for other kinds."""
     release_threshold: float = 0.0
     """Value of the covariate below which a latch changes from 1 to 0."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
-        """The k columns (n, k) of the regressor for n pointings, each with an rms of about one.
+        """Columns (n, k) of the regressor in the design matrix, for n pointings, each with an rms of about one.
 
-        If the law changes the position of targets (`acts_on_targets`), the columns are relative to a reference state,
-        in which the targets have their declared coordinates. This is the start of the measurement, or the pointings at
-        which the additional column of the recording on which the regressor depends is zero. If there is no such state,
-        each column has zero mean.
+        If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
+        have their declared coordinates: those at the start of the measurement, or those at which the additional column
+        of the recording is zero. Without such pointings each column has zero mean.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
             return columns
-        columns = columns - columns[self._is_in_reference_state(sightings)].mean(axis=0)
+        columns = columns - columns[self._is_at_declared_coordinates(sightings)].mean(axis=0)
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
-    def _is_in_reference_state(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of those of n pointings at which moving targets are in their reference state (see `columns`)."""
+    def _is_at_declared_coordinates(self, sightings: Sightings) -> Bools:
+        """Mask (n,) of the pointings at which moving targets have their declared coordinates (see `columns`)."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -154,7 +155,7 @@ class Regressor:
         return x == np.nanmin(x) if has_natural_zero(x) else full_mask
 
     def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """The k columns (n, k) of the regressor for n pointings, without subtraction of reference values."""
+        """Columns (n, k) of the regressor for n pointings, without subtraction of reference values."""
         name = "".join(self.covariates[:1])
         if self.region is not None:
             return scaled_to_unit_rms(self._region_column(self.region, sightings)[:, None])
@@ -172,7 +173,7 @@ class Regressor:
             case "simple":
                 return function_column(sightings, name, self.function, self.constant)
             case "state" | "latch":
-                return scaled_to_unit_rms(self._state_column(sightings, name)[:, None])
+                return scaled_to_unit_rms(self._accumulation_or_latch_column(sightings, name)[:, None])
             case "lagging":
                 return first_order_lag_columns(sightings, name, self.constant)
             case "amounts":
@@ -186,17 +187,18 @@ class Regressor:
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._product_columns(sightings, acts_on_targets)
 
-    def _state_column(self, sightings: Sightings, name: str) -> Floats:
-        """Value (n,) at each of n pointings of a regressor of the kind `state` or `latch`, minus its mean."""
+    def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
+        """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean."""
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
-        return state_column(sightings, name, self.function, self.constant)
+        return accumulation_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
-        """Values (n,), at n pointings, of a regressor that depends on a `region` of the hall, by its kind.
+        """Values (n,) in n pointings of a regressor that depends on a `region` of the hall.
 
-        The values are the length [m] of each line of sight in the region, this length weighted by the lever of a
-        deflection (`DEFLECTION_FUNCTION`), or the weight of the region at the target.
+        For the kind `passage` they are the length [m] of the line of sight in the region, with the function
+        `DEFLECTION_FUNCTION` weighted by the lever of a deflection. For the kind `near` they are the weight of the
+        region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
@@ -207,7 +209,7 @@ class Regressor:
         )
 
     def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
-        """Index (n,) of the group of each of n pointings, and indices (k,) of the k groups with a separate amount.
+        """Index (n,) of the group of each of n pointings, and indices (k,) of the k groups with a separate value.
 
         Groups are stations, instruments, targets or previous targets.
         """
@@ -224,7 +226,7 @@ class Regressor:
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """The k columns (n, k) of a product for n pointings: all products of a column of each factor."""
+        """Columns (n, k) of a product for n pointings: all products of one column of each factor."""
         product = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, acts_on_targets=acts_on_targets)
@@ -239,13 +241,13 @@ class Regressor:
     def has_curve_per_instrument(self) -> bool:
         """True if each instrument has a separate curve with a mean of zero.
 
-        The ordinary calibration of an instrument already contains the mean of its curve.
+        The ordinary calibration of each instrument already contains the mean of its curve.
         """
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
     def coefficient_sigmas(self) -> tuple[Floats, ...]:
-        """Prior standard deviations of the k coefficients: one array (k,), for a curve one array per length scale."""
+        """Prior standard deviations (k,) of the k coefficients, as a tuple; a curve has one array per length scale."""
         match self.kind:
             case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
                 return (np.ones(1),)
@@ -254,7 +256,7 @@ class Regressor:
             case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
-                return (np.repeat(1.0 / np.arange(1, N_HARMONICS + 1), 2) / np.sqrt(2.0),)
+                return (np.repeat(1.0 / np.arange(1, N_HARMONICS_OF_CYCLE + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)
@@ -269,25 +271,28 @@ class Regressor:
 
     @property
     def hall_region(self) -> HallRegion | None:
-        """Region of the hall on which the regressor, or one of its factors, depends; None without a region."""
+        """Region of the hall of the regressor or of one of its factors; None without a region."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def with_region(self, region: HallRegion) -> Regressor:
-        """Copy of the regressor in which its region of the hall, or that of its factors, is replaced by `region`."""
+        """Copy of the regressor with another region of the hall, also in its factors."""
         if self.region is None:
             factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor with the mean position of `targets` as the origin of its factor of the kind `field`."""
+        """Copy of the regressor in which the field has its origin at the mean position of `targets`."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, field_or_amount_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Product of this regressor, without its factor `field`, and a regressor with a value for each of `targets`."""
+        """Product of this regressor, without a polynomial of the position (`field`), and a value per target.
+
+        `targets` are the names of the targets with a separate value.
+        """
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*other_factors, separate_amounts))
@@ -299,7 +304,7 @@ class Regressor:
 
     @property
     def covariate_names_in_files(self) -> tuple[str, ...]:
-        """Names in files of the covariates on which the regressor depends."""
+        """Names of the regressor's covariates as they are written to files."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return covariate_names_in_files(names)
 
@@ -307,27 +312,27 @@ class Regressor:
 CONSTANT_REGRESSOR = Regressor("constant")
 """Regressor with the value 1 at every pointing."""
 COORDINATE_COVARIATES = ("x", "y", "z")
-"""Covariates that are coordinates of the target."""
+"""Names of the covariates that are coordinates of the target."""
 
 
 def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
-    """Products of each regressor with a polynomial of the position, so that its coefficient varies across the hall.
+    """Products of each regressor with a polynomial of the position, so that its size varies across the hall.
 
-    The coefficient is a linear function of the position for `polynomial_order` 1 and a quadratic function for 2.
+    The polynomial is linear for `polynomial_order` 1 and quadratic for 2.
     """
     field = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
     return [Regressor("product", factors=(regressor, field)) for regressor in regressors]
 
 
 def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Regressor:
-    """Regressor with one column: a function of one covariate and a constant, such as a key of `FORMULA_FUNCTIONS`."""
+    """Regressor with one column: the function `function` (such as a key of `FORMULA_FUNCTIONS`) of one covariate."""
     return Regressor("simple", (covariate,), function, constant)
 
 
 DEFLECTION_FUNCTION = "lever"
-"""Name of the function of a `passage` regressor for a region that deflects the lines of sight through it. A deflection
-at a point moves the end of the line in proportion to the length beyond the point. The measured direction thus changes
-by the deflection times the fraction of the line beyond the point."""
+"""Name of the function of a `passage` regressor for a region of the hall that deflects lines of sight. A deflection
+at a point moves the end of the line in proportion to the length beyond the point. The measured direction thus
+changes by the deflection times the fraction of the line beyond the point (lever)."""
 
 
 def path_length_regressor(region: HallRegion, function: str = "") -> Regressor:
@@ -339,42 +344,42 @@ def path_length_regressor(region: HallRegion, function: str = "") -> Regressor:
 
 
 def nearness_regressor(region: HallRegion) -> Regressor:
-    """Regressor that is 1 for targets at the centre of a region and decreases with their distance from the centre."""
+    """Regressor that is 1 for a target at the centre of a region and decreases with the distance from the centre."""
     return Regressor("near", tuple(region.bounded_axes), region=region)
 
 
-def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
-    """Regressor with a state, which accumulates the changes of a covariate since the start of the set-up.
+def accumulation_regressor(covariate: str, function: str, constant: float) -> Regressor:
+    """Regressor that is an accumulated quantity: the sum of the changes of a covariate since the start of the set-up.
 
-    `function` is the kind of decay or reset of the state, and `constant` its constant (`laws.states`).
+    `function` is the name of the decay or reset of the sum, and `constant` its constant (`laws.accumulations`).
     """
     return Regressor("state", (covariate,), function, constant)
 
 
 def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
-    """Regressor that is 1 from the time a covariate exceeds `set_threshold` until it is below `release_threshold`."""
+    """Regressor that is 1 once a covariate exceeds `set_threshold`, and 0 once it is below `release_threshold`."""
     return Regressor("latch", (covariate,), constant=set_threshold, release_threshold=release_threshold)
 
 
 def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, ...] = ()) -> Regressor:
     """Regressor with a separate value for each of `n_groups` groups.
 
-    `group_kind` is `station`, `instrument`, `target` or `last-target`, the target of the previous pointing. If
-    `targets` is given, only these targets have a value.
+    `group_kind` is `station`, `instrument`, `target` or `last-target` (target of the previous pointing). If `targets`
+    is given, only these targets have a value.
     """
     return Regressor("amounts", (group_kind,), constant=n_groups, field_or_amount_targets=targets)
 
 
 def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:
-    """Regressor that is a sum of the steps and ramps `steps` of one covariate, each with a separate coefficient."""
+    """Regressor that is a sum of steps and ramps of one covariate, each with a separate coefficient."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
 def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
-    """Regressor that is 1 after the first of the steps `edge_regressors`, 0 after the second, and so on."""
+    """Regressor that is 1 after the first of the steps `edge_regressors`, 0 after the second, and so on in turn."""
     return Regressor("switch", edge_regressors[0].covariates, factors=tuple(edge_regressors))
 
 
-def smooth_regressor(covariate: str, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` basis functions."""
+def smooth_regressor(covariate: str, n_modes: int = N_CURVE_MODES) -> Regressor:
+    """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` eigenfunctions."""
     return Regressor("smooth", (covariate,), constant=n_modes)

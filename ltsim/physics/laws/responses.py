@@ -1,8 +1,8 @@
 """Responses: quantities of the measurement that an unknown cause may change, and the resulting changes of readings.
 
-Responses are the instrument constants, rotation and translation of a stand, coordinates of targets, and properties of
-air and reflectors. If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is
-one response with three components. In this module n is the number of pointings, and c the number of components.
+Responses are instrument constants, rotation and translation of a stand, coordinates of targets, and properties of air
+and reflectors. If no physical quantity explains a misfit, the response is a reading itself. A motion in space is one
+response with three components. In this module n is the number of pointings, and c the number of components.
 """
 
 from collections.abc import Callable
@@ -30,35 +30,36 @@ PLAUSIBLE_ANGLE_ERROR = 2 * ARCSECOND
 PLAUSIBLE_LENGTH_ERROR = 10 * MICROMETRE
 """Prior standard deviation [m] of the coefficients of errors of ranges, beam offsets and reflectors."""
 PLAUSIBLE_SCALE_ERROR = 2 * PPM
-"""Prior standard deviation of the coefficients of scale errors of ranges, as a fraction of the range."""
+"""Prior standard deviation of the coefficients of range scale errors, as a fraction of the range."""
 PLAUSIBLE_MOTION = 30 * MICROMETRE
-"""Prior standard deviation [m] of the coefficients of motions of targets and stands, or of their walls and floors."""
+"""Prior standard deviation [m] of the coefficients of motions: of targets, stands, walls and floors."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Quantity of the measurement, such as the vertical index, that an effect or law changes."""
+    """Response: quantity of the measurement, such as the vertical index, that an effect or law changes."""
 
     name: str
-    """Name of the quantity in files and sentences."""
+    """Name of the quantity, as in files and sentences."""
     display_unit: str
     """Display unit of a change of the quantity."""
     plausible_size: float
-    """Plausible size [SI] of a change of the quantity, the prior standard deviation of its coefficients."""
+    """Plausible size [SI] of a change of the quantity; the prior standard deviation of the coefficients of a law."""
     observables: tuple[str, ...] = ()
-    """Observables that the quantity mainly changes; empty if they depend on the positions of stations and targets."""
+    """Names of the observables that the quantity changes most; empty if they depend on positions of stations and
+    targets."""
     changed_part: str = "instrument"
-    """Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air`, `reflector`.
-    """
+    """Part of the measurement to which the quantity belongs: `reading`, `instrument`, `circle`, `stand`, `target`,
+    `air` or `reflector`."""
     component_names: tuple[str, ...] = ("",)
-    """Names of the c components. A scalar quantity has one component, with an empty name."""
+    """Names of the c components of the quantity. A scalar quantity has one component with an empty name."""
     component_si_per_coefficient: tuple[float, ...] = ()
     """Change [SI] of each component per unit of its coefficient; empty if all are 1."""
     component_units: tuple[str, ...] = ()
     """Display units of the components; empty if all have `display_unit`."""
 
     def display_unit_and_factor_on_coefficient(self, component_index: int) -> tuple[str, float]:
-        """Display unit of the component with this index, and the factor from its coefficient to that unit."""
+        """Display unit of the component `component_index`, and the factor from its coefficient to this unit."""
         unit, scale = (
             (self.component_units[component_index], self.component_si_per_coefficient[component_index])
             if self.component_units
@@ -75,7 +76,7 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are instrument constants, by the key of the error in the kinematic chain (`error_key`)."""
+"""Responses that are instrument constants, by the key (`error_key`) of the error of the kinematic chain."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -87,7 +88,7 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses that are eccentricities of the circles, each with the catalogue effect that has its derivatives."""
+"""Responses that are eccentricities of the circles, each with the catalogue effect that has the same derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -98,11 +99,13 @@ _READING_RESPONSES = tuple(
     )
     for name in OBSERVABLES
 )
+"""Responses that are single observables."""
 _PLAUSIBLE_SIZE_BY_OBSERVABLE = {
     "distance": PLAUSIBLE_LENGTH_ERROR,
     "azimuth": PLAUSIBLE_ANGLE_ERROR,
     "elevation": PLAUSIBLE_ANGLE_ERROR,
 }
+"""Plausible size [SI] of an error by the name of the observable."""
 _MULTI_OBSERVABLE_RESPONSES = tuple(
     Response(
         " and ".join(names),
@@ -117,14 +120,15 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Responses that are pairs or triples of observables, which depend on the same regressor with separate coefficients."""
+"""Responses that are pairs or triples of observables, each observable with separate coefficients of the same
+regressor."""
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
-def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
+def instrument_constants_of_chain_error(error_key: str) -> tuple[str, ...]:
     """Names of the instrument constants of the ordinary calibration that change an error of the kinematic chain.
 
-    `error_key` is the key of the error in the chain, such as `azimuth`.
+    `error_key` is the key of the error of the chain, such as `azimuth`.
     """
     return tuple(
         p.name
@@ -134,12 +138,12 @@ def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
     )
 
 
-VARIED_CONSTANTS_BY_RESPONSE = (
-    {response.name: constant_names_of_chain_error(key) for key, response in _CHAIN_ERROR_RESPONSES.items()}
+INSTRUMENT_CONSTANTS_BY_RESPONSE = (
+    {response.name: instrument_constants_of_chain_error(key) for key, response in _CHAIN_ERROR_RESPONSES.items()}
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
-    | {"distance": constant_names_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
+    | {"distance": instrument_constants_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
-"""Names of the instrument constants of the ordinary calibration that a law varies, by the name of its response."""
+"""Names of the instrument constants of the ordinary calibration that a law changes, by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
     "position of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
@@ -158,15 +162,16 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 
 
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings of n pointings per unit of a correction of one observable.
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to a correction of one observable.
 
-    The correction refers to face 1; on face 2 the reading of an angle may change with the opposite sign.
+    The correction refers to readings in face 1. In face 2 the raw reading of an angle may change with the opposite
+    sign.
     """
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
 def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
-    """Change (n, 3, c) of the readings of n pointings per unit of the coefficient of each of c changed observables."""
+    """Derivatives (n, 3, c) of the raw readings of n pointings with respect to the coefficients of c observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_si_per_coefficient, strict=True)
@@ -175,31 +180,34 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 
 
 def _chain_error_design(sightings: Sightings, error_key: str) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error `error_key`."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to an error of the kinematic chain.
+
+    `error_key` is the key of the error.
+    """
     return sightings.reading_change_by_error_key[error_key][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings of n pointings per unit of the range scale."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the range scale."""
     return design_from_front_face_corrections(sightings, distance=sightings.range_)[:, :, None]
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per metre of a motion of targets along their nests' normals."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings by a motion of targets along their nests' normals."""
     normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
 def _reflector_vertex_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 3) of the readings of n pointings per metre of a displacement of reflector vertices on three axes.
+    """Derivatives (n, 3, 3) of the raw readings of n pointings by displacements of reflector vertices on three axes.
 
-    The axes are those of `reflector_axes`: axially, sideways and up.
+    `reflector_axes` returns the axes: axial, side, up.
     """
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
 def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per metre of a level motion of reflectors to the instrument."""
+    """Derivatives (n, 3, 1) of the raw readings of n pointings by a horizontal motion of reflectors to the tracker."""
     back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = back_sight * [1.0, 1.0, 0.0]
     return design_from_displacements(
@@ -208,12 +216,12 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from the sightings of n pointings to the change (n, 3, c) of their raw readings per unit of each of the c
-components of a response."""
+"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the
+c components of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
-    """Responses by name, each with the function for the resulting change of the raw readings."""
+    """Responses by name, each with the function for the change of the raw readings (see `ResponseDesignFunction`)."""
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
@@ -232,19 +240,18 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
 
 
 RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the change (n, 3, c) of the raw readings of n pointings per unit of
-each of the response's c coefficients.
-"""
+"""Responses by name, each with the function for the derivatives (n, 3, c) of the raw readings of n pointings with
+respect to its c components."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
-"""Names of the responses that need declared normals of the nests."""
+"""Names of the responses that need the declared normals of nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
-    """Responses by name, each with the change (n, 3, c) of the readings of n pointings per unit of its c coefficients.
+    """Responses by name, each with the derivatives (n, 3, c) of the raw readings of n pointings by its c components.
 
-    If several responses have the same change, only the first is listed. For example, errors of the vertical index and
-    of the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it
-    can depend on other regressors than a motion of the targets.
+    Of several responses with the same derivatives only the first is listed: for example, errors of the vertical index
+    and of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because
+    it can depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

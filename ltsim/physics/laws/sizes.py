@@ -1,4 +1,4 @@
-"""Sizes of the changes that a law causes, for display: value, standard deviation and unit."""
+"""Displayed sizes of the change of a law: value, standard deviation and unit."""
 
 from typing import NamedTuple
 
@@ -10,16 +10,16 @@ from ltsim.scene.sightings import Sightings
 
 
 class DisplayedSize(NamedTuple):
-    """Size of the change that a law causes, as reported to users."""
+    """Size of the change of a law (such as the amplitude of a wave) as reported to users."""
 
     name: str
     """Name of the size, such as `amplitude`, or `swing` (largest minus smallest value)."""
     value: float
-    """Value in the display unit."""
+    """Value of the size, in `unit`."""
     sigma: float
-    """Standard deviation in the display unit."""
+    """Standard deviation of the value, in `unit`."""
     unit: str
-    """Display unit."""
+    """Display unit of value and standard deviation."""
 
 
 def displayed_sizes(
@@ -27,9 +27,9 @@ def displayed_sizes(
 ) -> tuple[DisplayedSize, ...]:
     """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
-    The swing of a curve is its largest value minus its smallest value at the pointings. For a motion in space all
-    components are listed, at the set-up with the largest motion. The k coefficients of the law have the mean
-    `coefficients` (k,) [SI] and the covariance `covariance` (k, k).
+    The swing of a curve is its largest minus its smallest value in the pointings. For a motion in space all components
+    are listed, at the set-up with the largest motion. The k coefficients of the law have the mean `coefficients` (k,)
+    [SI] and the covariance `covariance` (k, k).
     """
     law, main_direction, means, spread = law.law_at_setup_of_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
@@ -64,6 +64,6 @@ def displayed_sizes(
 
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
-    """Size of one component of the response in its display unit, from `value` and `variance` of its coefficient."""
+    """Size of one component of the response in its display unit, from value and variance of its coefficient."""
     unit, factor = law.response.display_unit_and_factor_on_coefficient(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -1,4 +1,4 @@
-"""Text form of empirical laws, such as ``exp(-station-time / 8 min)``, and the parser of this text."""
+"""Text form of empirical laws, such as ``exp(-station-time / 8 min)``, and the parser of the text form."""
 
 import itertools
 import re
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
+from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, MEMORY_OPERATOR_PREFIXES
 from ltsim.physics.laws.regressors import (
@@ -29,11 +29,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.regions import REGION_SHAPES, HallRegion
 
 ANGLE_COVARIATES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
-"""Covariates that are displayed in degrees."""
+"""Names of the covariates that are displayed in degrees."""
 TIME_COVARIATES = (*CLOCK_COVARIATES, "lapse")
-"""Covariates that are times, displayed in minutes or seconds."""
+"""Names of the covariates that are times, displayed in minutes or seconds."""
 LENGTH_COVARIATES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
-"""Covariates that are displayed in metres or millimetres."""
+"""Names of the covariates that are displayed in metres or millimetres."""
 PHRASE_BY_COVARIATE = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
@@ -41,9 +41,9 @@ PHRASE_BY_COVARIATE = {
     "target": "the target",
     "last-target": "the target before",
 }
-"""Phrases for users in place of names of covariates that a sentence does not explain."""
+"""Phrases for users in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Covariates for each value of which (a station, target or previous target) a law may have a separate amount."""
+"""Names of the covariates for whose values (such as stations) a law may have separate amounts."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -88,9 +88,8 @@ REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Text form of a regressor by its kind, function and constant; None stands for any constant. In the text `x` is a
-covariate, `k` is the constant, and `value` is the constant or a period with its unit.
-"""
+"""Templates of the text form of a regressor by kind, function and constant (None: any). `x` is a covariate, `k` the
+constant, `value` the constant or a period with its unit."""
 UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
     "fades": "time",
@@ -98,10 +97,10 @@ UNIT_COVARIATE_BY_FUNCTION = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariate whose unit the constant in a formula has, by the function that contains the constant. The constant of any
-other function has the unit of the covariate to which the function is applied."""
-MIN_VALUE_IN_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
-"""Smallest value that is displayed in a unit, by unit. Smaller values have the next smaller unit, as 90 s or 400 mm."""
+"""Covariate that gives the constant of a formula its unit, by function. For other functions it is the covariate to
+which the function is applied."""
+MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
+"""Smallest value that is displayed in a unit, by unit; a smaller one has a smaller unit (90 s, not 1.5 min)."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text form of a law with separate coefficients for each set-up."""
 FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
@@ -109,32 +108,32 @@ FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 """Suffix of the text form of a regressor with separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
-"""Template of the text form of a switch."""
+"""Template of the text form of a switch, which is on in the intervals `spans` of the covariate `x`."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text form of a switch that the error follows with a first-order lag."""
+"""Suffix of the text form of a switch if the error follows it with a first-order lag."""
 SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
+"""Separators between the texts of factors, by the kind of regressor: of a product, or of a sum of steps and ramps."""
 REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Words before the text form of a region, by the kind and the function of the regressor."""
+"""Words before the text form of a region of the hall, by the kind and the function of the regressor."""
 
 
 def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
-    """Value [SI] of a covariate as text with its display unit; without a clock, times count pointings."""
+    """Text of a value [SI] of a covariate with its display unit; without a clock, times count pointings."""
     units = _si_per_display_unit(covariate, has_clock)
     *larger, last = units
-    unit = next((u for u in larger if abs(value) >= MIN_VALUE_IN_DISPLAY_UNIT[u] * units[u]), last)
+    unit = next((u for u in larger if abs(value) >= MIN_VALUE_BY_DISPLAY_UNIT[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
 
 def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
-    """Display units of a covariate with their values in SI units, the largest first."""
+    """Display units of a covariate, with their values in SI units, from the largest to the smallest."""
     if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
     if covariate in TIME_COVARIATES:
@@ -143,7 +142,7 @@ def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
-    """Text form of a regressor; without a clock, times count the rows of the recording's data table."""
+    """Text form of a regressor, such as ``exp(-time / 8 min)``; without a clock, times count rows of the recording."""
     if regressor.has_curve_per_instrument:
         return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
@@ -185,8 +184,9 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text that follows a law's regressor: separate coefficients for each set-up, fixed ratio of its components."""
-    ratio = FIXED_RATIO_SUFFIX.format(values=" / ".join(f"{r:.4g}" for r in law.direction)) if law.direction else ""
+    """Text that follows the regressor in the text form of a law: coefficients per set-up, ratio of components."""
+    values = " / ".join(f"{r:.4g}" for r in law.component_ratio)
+    ratio = FIXED_RATIO_SUFFIX.format(values=values) if values else ""
     return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
 
 
@@ -210,7 +210,7 @@ TEXT_FORM_EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of the text form of a regressor."""
+"""Examples of the text form of a regressor, for messages."""
 _NUMBER_PATTERN = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:e[-+]?\d++)?+"
 _PLACEHOLDER_PATTERNS = {
     "x": "(?P<x>.+)",
@@ -239,9 +239,9 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of its response (a changed quantity) and the text form of its regressor.
+    """Law from the name of its response (the changed quantity) and the text form of its regressor.
 
-    The law acts at `stations` and `targets`, or at all. Raises ModelError for an unknown response or text form.
+    The law acts at the given stations and targets, or at all. Raises ModelError for an unknown response or text form.
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(
@@ -253,7 +253,7 @@ def parse_law(
     regressor = parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording)
     has_coefficients_per_setup = regressor_text.endswith(PER_SETUP_SUFFIX)
     if has_coefficients_per_setup and (stations or targets):
-        raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
+        raise ModelError(f"'{regressor_text}' applies to all set-ups, not only to {', '.join((*stations, *targets))}")
     target_factors = [f for f in (regressor, *regressor.factors) if f.covariates == ("target",)]
     regressor = Regressor("product", factors=(regressor,)) if target_factors == [regressor] else regressor
     if not targets and target_factors:
@@ -277,15 +277,15 @@ def parse_law(
     )
     if direction and len(direction) != law.n_setup_components:
         raise ModelError(
-            f"'{regressor_text}': expected a ratio of {law.n_setup_components} components, not of {len(direction)}"
+            f"'{regressor_text}' has a ratio of {len(direction)} components; expected {law.n_setup_components}"
         )
-    return replace(law, direction=direction)
+    return replace(law, component_ratio=direction)
 
 
-def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, the inverse of `regressor_text`; a curve has `n_modes` basis functions.
+def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODES) -> Regressor:
+    """Regressor from its text form, such as ``exp(-time / 8 min)``; a smooth curve has `n_modes` eigenfunctions.
 
-    Raises ModelError for a text that is not a regressor of the recording.
+    Raises ModelError for a text that is no regressor of the recording.
     """
     factors, steps = text.split(FACTOR_SEPARATORS["product"]), _STEP_SEPARATOR.split(text)
     if text.endswith(PER_INSTRUMENT_SUFFIX):
@@ -293,7 +293,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         return Regressor(
             "product",
             factors=(
-                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_MODES_IN_PRODUCT),
+                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_PRODUCT_CURVE_MODES),
                 by_instrument,
             ),
         )
@@ -304,7 +304,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
     if len(factors) > 1:
         return Regressor(
             "product",
-            factors=tuple(parse_regressor(factor.strip(), recording, N_MODES_IN_PRODUCT) for factor in factors),
+            factors=tuple(parse_regressor(factor.strip(), recording, N_PRODUCT_CURVE_MODES) for factor in factors),
         )
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])
@@ -333,7 +333,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
             unit_covariate = UNIT_COVARIATE_BY_FUNCTION.get(how, UNIT_COVARIATE_BY_FUNCTION.get(kind, name))
             k = _parse_constant(text, unit_covariate, groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
-                raise ModelError(f"'{text}': expected a number above zero")
+                raise ModelError(f"'{text}' has an invalid constant; expected a number above zero")
         along = COORDINATE_COVARIATES if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
@@ -345,7 +345,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
 
 
 def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Switch from its text form and the match of this text; raises ModelError for unordered or invalid values."""
+    """Switch from its text form and the `match` of this text; raises ModelError for unordered or invalid values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
     is_covariate = name in {*BUILTIN_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
@@ -355,27 +355,27 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or not is_covariate:
-            raise ModelError(f"'{law_text}': expected a text such as '{TEXT_FORM_EXAMPLES[-1]}'")
+            raise ModelError(f"'{law_text}' is not a switch; expected a text such as '{TEXT_FORM_EXAMPLES[-1]}'")
         edges.append(
             scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
-        raise ModelError(f"'{law_text}': expected increasing times")
+        raise ModelError(f"'{law_text}' is not a switch; expected increasing times")
     if match["value"]:
         lag = _parse_constant(law_text, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
     return replace(switch_regressor(edges), constant=lag)
 
 
 def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Latch from its text form and the match of this text; raises ModelError for unordered or invalid thresholds."""
+    """Latch from its text form and the `match` of this text; raises ModelError for unordered or invalid thresholds."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or name not in {*BUILTIN_COVARIATES, *recording.regressor_covariates}:
-            raise ModelError(f"'{law_text}': expected a text such as '{TEXT_FORM_EXAMPLES[-2]}'")
+            raise ModelError(f"'{law_text}' is not a latch; expected a text such as '{TEXT_FORM_EXAMPLES[-2]}'")
         thresholds.append(_parse_constant(law_text, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
-        raise ModelError(f"'{law_text}': expected a release threshold below the set threshold")
+        raise ModelError(f"'{law_text}' is not a latch; expected a release threshold below the set threshold")
     return latch_regressor(name, thresholds[0], thresholds[1])
 
 
@@ -385,16 +385,16 @@ def _parse_hall_region(text: str, match: re.Match[str]) -> HallRegion:
     centre = dict(_COORDINATE_PATTERN.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
         expected = region_text(HallRegion(axes, (1.0,) * len(axes), 0.5))
-        raise ModelError(f"'{text}': expected a region such as '{expected}'")
+        raise ModelError(f"'{text}' has no valid region of the hall; expected a region such as '{expected}'")
     return HallRegion(axes, tuple(map(float, centre.values())), float(match["width"]))
 
 
 def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], has_clock: bool) -> float:
-    """Constant [SI] from the match `groups` of a text form; raises ModelError for an impossible unit of `covariate`."""
+    """Constant [SI] from the `groups` of a matched text form; raises ModelError for a wrong unit of `covariate`."""
     if "k" in groups:
         return float(groups["k"])
     units, unit = _si_per_display_unit(covariate, has_clock), groups["unit"]
     if unit not in units:
         unit_text = " or ".join(f"in {u}" if u else "without a unit" for u in units)
-        raise ModelError(f"'{text}': expected a value of {covariate} {unit_text}")
+        raise ModelError(f"'{text}' has a wrong unit; expected a value of {covariate} {unit_text}")
     return float(groups["value"]) * units[unit]

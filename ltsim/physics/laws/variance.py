@@ -1,4 +1,4 @@
-"""Variance functions: changes of the noise that no catalogue effect describes, and errors that repetitions share."""
+"""Variance functions: noise hypotheses that no catalogue effect describes, and errors that repeated pointings share."""
 
 from dataclasses import dataclass
 
@@ -12,18 +12,19 @@ from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "in both faces")
-"""Kinds of repetition: the same error in all pointings of a station to a target in one face, or also in both faces."""
+"""Kinds of repeated pointings with the same error: all pointings of a station to a target in one face, or in both
+faces."""
 
 
-MIN_RELATIVE_PATH = 0.05
-"""Length of a line of sight within a region, divided by the longest such length, up to which the line counts as outside
-the region."""
+MIN_RELATIVE_PATH_IN_REGION = 0.05
+"""Length of a line of sight within a region of the hall, divided by the longest one, up to which the line counts as
+outside the region."""
 
 
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:
     """Names of the groups with separate noise, and the index (n,) of the group of each of n pointings.
 
-    The groups are stations, targets, or single pointings with names such as ``row 1`` for the `group_kind` `reading`.
+    The groups are stations or targets, or single pointings with names such as ``row 1`` for the `group_kind` `reading`.
     """
     if group_kind == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
@@ -33,7 +34,7 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
-    """Values (n,), at n pointings, of a covariate on which noise depends.
+    """Values (n,) in n pointings of a covariate on which the noise depends.
 
     They are absolute values if the covariate depends on earlier pointings.
     """
@@ -43,46 +44,47 @@ def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
 
 @dataclass(frozen=True)
 class VarianceFunction(CandidateNoiseEffect):
-    """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
+    """Variance function: noise hypothesis that depends on a covariate, or differs by target, station or region.
 
-    variance = sigma^2 (1 + v * pattern), with the declared sigma, an added relative variance v, and a pattern from 0 to
-    1 over the pointings. Each of `group_names` (targets, stations or pointings) has a separate v, and with
-    `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is the length of the line
-    of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1 if the first covariate
-    is between the first and second limit, the third and fourth, and so on; otherwise it is 0. With a region and a band
-    the pattern is the product of both patterns.
+    variance = sigma^2 (1 + v * pattern), for each reading, with the declared standard deviation sigma, the added
+    relative variance v, and a pattern from 0 to 1. Each of `group_names` (targets, stations or pointings) has a
+    separate v, and with `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is
+    the length of the line of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1
+    if the first covariate is between the first and second limit, the third and fourth, and so on; otherwise it is 0.
+    With a region and a band the pattern is the product of both patterns.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
-    """Names of the observables whose noise changes."""
+    """Names of the observables whose noise is changed."""
     covariates: tuple[str, ...] = ()
-    """Names of the covariates on which the noise depends."""
+    """Names of the covariates (such as the time) on which the noise depends."""
     targets: tuple[str, ...] = ()
-    """Names of the targets where the noise changes; empty for all."""
+    """Names of the targets where the noise is changed; empty for all."""
     stations: tuple[str, ...] = ()
-    """Names of the stations where the noise changes; empty for all."""
+    """Names of the stations where the noise is changed; empty for all."""
     instruments: tuple[str, ...] = ()
-    """Names of the instruments whose noise changes; empty for all."""
+    """Names of the instruments whose noise is changed; empty for all."""
     decreases_with_covariate: bool = False
-    """True if the noise decreases with the covariate."""
+    """True if the noise decreases as the covariate increases."""
     shared_error_repetition: str = ""
-    """Repeated pointings that have the same error, one of `REPETITION_KINDS`; empty for independent errors."""
+    """Kind of repeated pointings with the same error (see `REPETITION_KINDS`); empty for independent errors."""
     group_kind: str = ""
-    """Kind of the groups with separate noise: target, station or pointing; empty for common noise."""
+    """Kind of the groups with separate noise: `target`, `station` or `reading`; empty if the noise is common to all."""
     group_names: tuple[str, ...] = ()
     """Names of the targets, stations or pointings with separate noise; empty for all."""
     has_variance_per_observable: bool = False
     """True if each observable has a separate added variance."""
     region: HallRegion | None = None
-    """Region of the hall; readings along lines of sight through it have larger noise."""
+    """Region of the hall; readings along lines of sight through it have larger noise. None without a region."""
     covariate_band: tuple[float, ...] = ()
-    """Limits of the covariate between which the noise is larger, in pairs; empty for no band."""
+    """Limits of the intervals of the first covariate with larger noise, in pairs of lower and upper limit; empty if
+    the noise does not depend on intervals."""
 
     name = "unknown"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Added variances, as fractions of the declared variance: a single one, or one per group and observable."""
+        """Added variances divided by the declared variance: a single one, or one per group and observable."""
         kinds = [f"-{name}" for name in self.observables] if self.has_variance_per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
@@ -92,20 +94,20 @@ class VarianceFunction(CandidateNoiseEffect):
 
     @property
     def response_text(self) -> str:
-        """Name for users of the changed quantity: `noise`, or the observable whose error repeated pointings share."""
+        """Name for users of what changes: `noise`, or the observable whose error repeated pointings share."""
         return self.observables[0] if self.shared_error_repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
-        """Names for users of the covariates, or of the kind of groups, on which the variance depends."""
+        """Name for users of what the variance depends on: the covariates, or the kind of groups."""
         return "station and target" if self.shared_error_repetition else self.group_kind or " ".join(self.covariates)
 
     @property
     def text(self) -> str:
-        """Description of the change of the noise, for users."""
+        """Description for users of the changed noise level."""
         if self.shared_error_repetition:
             again = ", in both faces" if self.shared_error_repetition == REPEATS_IN_BOTH_FACES else ""
-            return f"errors without a visible law that recur when a target is measured again{again}"
+            return f"errors of unknown form that recur when a target is measured again{again}"
         if self.region is not None:
             return "larger noise on lines of sight that pass a region of the hall" + (
                 " for a time" if self.covariate_band else ""
@@ -120,12 +122,12 @@ class VarianceFunction(CandidateNoiseEffect):
         if not self.covariates:
             return "larger noise"
         if self.covariate_band:
-            several = "bands" if len(self.covariate_band) > 2 else "a band"
+            several = "several intervals" if len(self.covariate_band) > 2 else "an interval"
             return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.decreases_with_covariate else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the readings of n pointings, from declared standard deviations (n, 3) and added variances.
+        """Variance (n, 3) of the readings of n pointings, from their declared standard deviations `sigma` (n, 3).
 
         `parameter_values` are the added variances, divided by the declared variance.
         """
@@ -139,7 +141,7 @@ class VarianceFunction(CandidateNoiseEffect):
         if self.region is not None:
             path = self.region.path_lengths(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
-            pattern = pattern * np.where(share > MIN_RELATIVE_PATH, share, 0.0)
+            pattern = pattern * np.where(share > MIN_RELATIVE_PATH_IN_REGION, share, 0.0)
         if self.covariate_band:
             pattern = pattern * self.is_in_band(sightings)
         for name in self.covariates if self.region is None and not self.covariate_band else ():
@@ -149,7 +151,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return self._declared_variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of those of n pointings whose covariate is within the `covariate_band`."""
+        """Mask (n,) of the pointings whose first covariate lies in one of the intervals of `covariate_band`."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
         is_inside = np.zeros(len(x), dtype=bool)
@@ -161,7 +163,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return is_inside
 
     def _declared_variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
-        """Variance (n, 3) of n pointings: the declared one, increased by a fraction (n,) in the `observables`."""
+        """Variance (n, 3) of n pointings: the declared one, in the `observables` increased by the fraction (n,)."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))
         return grown

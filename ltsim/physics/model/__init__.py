@@ -1,1 +1,1 @@
-"""Forward model that simulator, calibrator, planner and diagnosis share."""
+"""Forward model (network and instrument to readings) that simulator, calibrator, planner and diagnosis use."""

@@ -37,23 +37,25 @@ MAX_NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-14
 """Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
 NEWTON_FINAL_STEP_THRESHOLD = 1e-11
-"""Size of a Newton step [m, rad] below which one last step with the exact derivative leaves only rounding errors."""
+"""Size of a Newton step [m, rad] below which one more step, with the exact derivative, leaves only rounding errors."""
 
 
 @dataclass(frozen=True)
 class GeometricErrorModel:
-    """Geometric error model of a tracker: its kinematic chain, and the error parameters of the chain's motions."""
+    """Geometric error model of a tracker: its kinematic chain, and parameters for the errors of this chain."""
 
     name: str
+    """Name of the model: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
     kinematic_chain: kinematics.KinematicChain
+    """Kinematic chain from the base of the tracker to the target."""
     parameters: tuple[Parameter, ...]
-    """Error parameters of the instrument."""
+    """The p error parameters of the instrument, with priors."""
     terms: tuple[ChainErrorTerm, ...]
-    """Terms, one per parameter: the error of the chain that the parameter changes, and its basis function."""
+    """Terms, one per parameter: the error of the kinematic chain that the parameter changes, and its basis function."""
 
     @property
     def n_parameters(self) -> int:
-        """Number of parameters p."""
+        """Number p of error parameters."""
         return len(self.parameters)
 
     @cached_property
@@ -62,25 +64,25 @@ class GeometricErrorModel:
         return tuple(p.name for p in self.parameters)
 
     def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names of all parameters of I instruments, I p in number; with several instruments ``beam-tilt@NAME``."""
+        """Names of the p parameters of each of I instruments, I p in number; ``beam-tilt@NAME`` for several ones."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
     def parameter_index(self, name: str) -> int:
-        """Index, among `parameters`, of the parameter with the name `name`."""
+        """Index in `parameters` of the parameter with the name `name`."""
         if name not in self.parameter_names:
             raise unknown_name_error("instrument parameter", name, self.parameter_names)
         return self.parameter_names.index(name)
 
     def with_parameter_subset(self, indices: Iterable[int]) -> Self:
-        """Geometric error model with a selection of the parameters."""
+        """Copy of the model with only the parameters that have the given indices."""
         subset = [int(k) for k in indices]
         parameters, terms = tuple(self.parameters[k] for k in subset), tuple(self.terms[k] for k in subset)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
     def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
-        """Kinematic chain with an error in each motion that depends on a reading, and keys of the three errors."""
+        """Kinematic chain with an additional error in each motion that is a reading, and keys of the three errors."""
         zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.nominal_amount_function for m in self.kinematic_chain]
         for column in range(3):
@@ -91,7 +93,7 @@ class GeometricErrorModel:
         return tuple(chain), tuple(error_keys)
 
     def basis_values(self, readings: Floats) -> Floats:
-        """Value (n, p) of the basis function of each of p parameters at n raw readings (n, 3)."""
+        """Values (n, p) of the basis functions of p parameters at n raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(readings)
@@ -99,45 +101,48 @@ class GeometricErrorModel:
 
     @cached_property
     def _reading_dependent_terms(self) -> list[tuple[int, ChainErrorTerm]]:
-        """Indices and terms of the parameters whose basis function depends on the readings."""
+        """Indices and terms of those parameters whose basis function depends on the readings."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
     def chain_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) or one number [m, rad] of the kinematic chain's motions, by key, at n raw readings (n, 3).
+        """Errors [m, rad] of the kinematic chain by key, each (n,) or one number, at n raw readings (n, 3).
 
-        Keys are those of the motions. `parameter_values` (p,), or (n, p) for each reading, are in SI units.
+        `parameter_values` (p,), or (n, p) with separate values for each reading, are in SI units.
         """
         errors: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
-            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+            key = term.chain_error_key
+            errors[key] = errors[key] + amount if key in errors else amount
         return errors
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions of p parameters."""
+        """Errors (n,) of the kinematic chain by key, from values (n, p) of the basis functions of p parameters."""
         errors: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
-            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+            key = term.chain_error_key
+            errors[key] = errors[key] + amount if key in errors else amount
         return errors
 
     def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
-        """Points (n, 3) [m] in the instrument frame from n raw readings (n, 3) and parameter `values` [SI]; exact."""
+        """Points (n, 3) [m] in the instrument frame from n raw readings (n, 3); `values` are the parameters [SI]."""
         errors = self.chain_errors(readings, values)
         return kinematics.points_from_raw_readings(self.kinematic_chain, readings, errors)
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points (n, 3) [m], with derivatives by the n raw readings (n, 3, 3) and by the p parameters (n, 3, p).
+        """Points (n, 3) [m] in the instrument frame, and derivatives by readings (n, 3, 3) and parameters (n, 3, p).
 
-        The derivative by the readings neglects that the basis functions depend on them: a relative error of 1e-5.
+        The derivatives by the n raw readings neglect that the basis functions depend on the readings, a relative error
+        of 1e-5.
         """
         (chain, reading_error_keys), bases = self._chain_with_reading_errors, self.basis_values(readings)
-        error_keys = {term.chain_error for term in self.terms} | set(reading_error_keys)
+        error_keys = {term.chain_error_key for term in self.terms} | set(reading_error_keys)
         errors = self._errors_from_basis_values(bases, values)
         p, by_error = kinematics.points_and_error_derivatives(chain, readings, errors, error_keys)
         by_reading = np.stack([by_error[key] for key in reading_error_keys], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
-        by_value = np.stack([by_error[term.chain_error] for term in self.terms], axis=2)
+        by_value = np.stack([by_error[term.chain_error_key] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
     def readings_from_points(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
@@ -167,7 +172,7 @@ class GeometricErrorModel:
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Readings (n, 3) of n points (n, 3) [m], and derivatives by points (n, 3, 3) and p parameters (n, 3, p)."""
+        """Raw readings (n, 3) of n points (n, 3) [m], and derivatives by points (n, 3, 3) and parameters (n, 3, p)."""
         raw = self._invert_chain(points, face, values, NEWTON_FINAL_STEP_THRESHOLD)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
@@ -185,7 +190,7 @@ class GeometricErrorModel:
 def misalignment_construction(
     effects: Iterable[ChainErrorEffect] = ORDINARY_CALIBRATION_EFFECTS,
 ) -> GeometricErrorModel:
-    """Geometric error model of a tracker with the source in the head; by default with all 16 misalignments."""
+    """Geometric error model of a tracker with the laser source in the head; by default with all 16 misalignments."""
     effects = tuple(effects)
     parameters, terms = (tuple(p for e in effects for p in e.parameters), tuple(t for e in effects for t in e.terms))
     return GeometricErrorModel("misalignment", kinematics.MISALIGNMENT_CHAIN, parameters, terms)
@@ -197,14 +202,15 @@ UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Display unit and prior standard deviation [SI] of a parameter, by the specified quantity to which it belongs."""
+"""Display unit and prior standard deviation [SI] of a parameter, by the quantity of the specification that limits
+it."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
-"""Suffixes of the names of the coefficients of a rotary joint's error function: constant, sines and cosines."""
+"""Suffixes of the names of the coefficients in the error function of an axis: constant, sines and cosines."""
 DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
-"""Names of the six error motions of a rotary joint in the Denavit-Hartenberg model."""
-MAX_HARMONIC_ORDER = 4
-"""Highest order of the harmonics of a joint in the Denavit-Hartenberg model."""
-MAX_POLYNOMIAL_DEGREE = 9
+"""Names of the six error motions of an axis in the Denavit-Hartenberg model: rotations (e) and translations (d)."""
+MAX_DH_HARMONIC_ORDER = 4
+"""Highest order of the harmonics in the errors of the azimuth and elevation axes of the Denavit-Hartenberg model."""
+MAX_DH_POLYNOMIAL_DEGREE = 9
 """Highest degree of the polynomials of the range in the Denavit-Hartenberg model."""
 
 SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
@@ -218,11 +224,10 @@ SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
-"""Quantity of the instrument's specification that limits a coefficient of the Denavit-Hartenberg model, by the name of
-the coefficient. The coefficients are those that represent the misalignments of a tracker with its source in the head.
-"""
+"""Quantity of the specification that limits a Denavit-Hartenberg coefficient, by name. These coefficients are
+equivalent to the misalignments of a tracker with the laser source in the head."""
 
-_EQUAL_CONTRIBUTION_RANGE = 5.0
+_EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
@@ -232,7 +237,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     Parameters
     ----------
     max_order : int
-        Highest order of the harmonics of the rotary joints, 0 to 4.
+        Highest order of the harmonics of the azimuth and elevation axes, 0 to 4.
     degree : int
         Degree of the polynomials in the range that describe the error motions of the range axis.
     unphysical_sigma : float
@@ -247,9 +252,9 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
-    rows = [(key, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for key, column in joints for k in waves]
+    rows = [(key, COEFFICIENT_SUFFIXES[k], _axis_error_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
-        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_CONTRIBUTION_RANGE**-k)
+        (f"T.{motion}", str(k), RangePowerBasis(k), _EQUAL_PRIOR_CONTRIBUTION_RANGE**-k)
         for motion in DH_ERROR_MOTIONS
         for k in range(degree + 1)
     ]
@@ -260,18 +265,18 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
         unspecified = unit, unphysical_sigma * size * scale
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
-        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, quantity))
+        parameters.append(Parameter(name, unit, f"coefficient {name} of the D-H chain", sigma, quantity))
         terms.append(ChainErrorTerm(key, basis))
     return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
 
-def _joint_basis(column: int, basis_number: int) -> BasisFunction:
-    """Basis function number `basis_number` of the series 1, sin x, cos x, sin 2x, ..., x the reading in `column`."""
+def _axis_error_basis(column: int, basis_number: int) -> BasisFunction:
+    """Basis function `basis_number` of the series 1, sin x, cos x, sin 2x, ... of the angle x in the given `column`."""
     order = (basis_number + 1) // 2
     return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
 
-EFFECTS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
+GEOMETRIC_ERRORS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
     RangeOffset(),
     RangeScale(),
     TransitOffset(),
@@ -280,7 +285,7 @@ EFFECTS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
     AzimuthEccentricity(),
     AzimuthSecondOrder(),
 )
-"""Geometric errors of trackers of both designs, source in the head and steering mirror, with equal error keys."""
+"""Geometric errors that trackers with the source in the head and with a steering mirror have, with equal error keys."""
 MIRROR_PARAMETERS: tuple[tuple[str, SpecifiedQuantity, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "angle from the transit axis to the plane of the mirror, positive to the left"),
@@ -300,16 +305,14 @@ MIRROR_PARAMETERS: tuple[tuple[str, SpecifiedQuantity, HarmonicBasis | None, str
     ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic, description. A parameter
-without a harmonic is the error with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of the mirror's angle,
-which is half the raw elevation.
-"""
+"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic of the mirror's angle
+(half the raw elevation), description. One without harmonic is the error with its name in `STEERING_MIRROR_CHAIN`."""
 
 
 def steering_mirror_construction() -> GeometricErrorModel:
     """Geometric error model of a tracker with a beam-steering mirror, with 21 parameters."""
-    parameters = [p for effect in EFFECTS_OF_BOTH_DESIGNS for p in effect.parameters]
-    terms = [t for effect in EFFECTS_OF_BOTH_DESIGNS for t in effect.terms]
+    parameters = [p for effect in GEOMETRIC_ERRORS_OF_BOTH_DESIGNS for p in effect.parameters]
+    terms = [t for effect in GEOMETRIC_ERRORS_OF_BOTH_DESIGNS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))
@@ -318,7 +321,7 @@ def steering_mirror_construction() -> GeometricErrorModel:
 
 
 def ideal_construction() -> GeometricErrorModel:
-    """Geometric error model of an ideal tracker, without parameters."""
+    """Geometric error model of an ideal tracker, which has no parameters."""
     return GeometricErrorModel("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
 
 
@@ -328,11 +331,11 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
     "steering-mirror": steering_mirror_construction,
     "ideal": ideal_construction,
 }
-"""Functions that create each geometric error model with its default orders, by the name of the model."""
+"""Functions that create a geometric error model with its default orders, by the name of the model."""
 
 
 def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
-    """Geometric error model by name; `dh` has harmonics up to `max_order` and range polynomials of degree `degree`.
+    """Geometric error model by name; `dh` has harmonics up to `max_order` and range polynomials of `degree`.
 
     Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
     """
@@ -342,7 +345,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
         return CONSTRUCTION_FACTORY_BY_NAME[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
-    limits = (("harmonics", max_order, MAX_HARMONIC_ORDER), ("degree", degree, MAX_POLYNOMIAL_DEGREE))
+    limits = (("harmonics", max_order, MAX_DH_HARMONIC_ORDER), ("degree", degree, MAX_DH_POLYNOMIAL_DEGREE))
     for what, order, highest in limits:
         if order is not None and not 0 <= order <= highest:
             raise ModelError(f"{what} is {order}, expected 0 to {highest}")
@@ -350,12 +353,12 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 
 
 def construction_with_dh_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
-    """Geometric error model by name; order of harmonics and degree of polynomials apply to the model ``dh`` only."""
+    """Geometric error model by name; order of the harmonics and degree of the polynomials apply to ``dh`` only."""
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Geometric error model by name; `dh` gets the lowest orders with which it has all `parameters` (names)."""
+    """Geometric error model by name; ``dh`` with the lowest orders that include all `parameters` (names)."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
@@ -365,29 +368,29 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Geometr
         if not front.startswith("T.") and end in COEFFICIENT_SUFFIXES
     ]
     powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
-    return dh_construction(max(orders, default=2), min(max(powers, default=2), MAX_POLYNOMIAL_DEGREE))
+    return dh_construction(max(orders, default=2), min(max(powers, default=2), MAX_DH_POLYNOMIAL_DEGREE))
 
 
 @cache
-def all_parameter_names() -> frozenset[str]:
+def all_instrument_parameter_names() -> frozenset[str]:
     """Names of the parameters of all geometric error models, with the highest orders of `dh`."""
     constructions = (
         misalignment_construction(),
         steering_mirror_construction(),
-        dh_construction(MAX_HARMONIC_ORDER, MAX_POLYNOMIAL_DEGREE),
+        dh_construction(MAX_DH_HARMONIC_ORDER, MAX_DH_POLYNOMIAL_DEGREE),
     )
     return frozenset(name for construction_ in constructions for name in construction_.parameter_names)
 
 
 def construction_of_beam_origin(beam_origin: str) -> GeometricErrorModel:
-    """Geometric error model of an instrument, by the declared origin of its beam: head or `steering-mirror`."""
+    """Geometric error model by the origin of the beam that the set-up declares: head or `steering-mirror`."""
     return steering_mirror_construction() if beam_origin == "steering-mirror" else misalignment_construction()
 
 
 def declared_construction(recording: Recording) -> GeometricErrorModel:
     """Geometric error model of a recording's instruments, by the origin of the beam that the set-up declares.
 
-    Raises NetworkError for a recording with instruments of both designs, because their parameters differ.
+    Raises NetworkError if the recording has instruments of both designs, because their parameters differ.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:

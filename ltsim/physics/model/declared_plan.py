@@ -1,4 +1,4 @@
-"""Floor plan that a set-up declares, and its rotation to the network frame."""
+"""Floor plan that a set-up declares (approximate station poses), and its rotation to the network frame."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from ltsim.geometry.rigid import VERTICAL, align_rigidly, rotation_about_z, smal
 from ltsim.recordings.recording import Recording
 
 MAX_STANDING_AXIS_SPREAD = 5 * DEGREE
-"""Largest angle [rad] between the standing axes of the instruments and their mean direction, up to which all
-instruments count as upright."""
+"""Largest angle [rad] between a standing axis and the mean of all standing axes, up to which all instruments count
+as upright."""
 MIN_PLAN_POSITIONS = 3
-"""Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
+"""Smallest number of approximate station positions that determine the rotation from the floor plan to the network."""
 PLAN_DIRECTION_SIGMA = 3 * DEGREE
-"""Standard deviation [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as
-none."""
+"""Standard deviation [rad] of directions on a floor plan. A smaller rotation between floor plan and network frame is
+neglected."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredPlan:
-    """Floor plan of a set-up: approximate positions and yaws of S stations, of which k have a position."""
+    """Floor plan that a set-up declares: approximate positions of k of its S stations, and approximate yaws."""
 
     has_control_points: bool
-    """True if a target has known coordinates: the frame of the plan is then the network frame."""
+    """True if a target has known coordinates. The frame of the floor plan is then the network frame."""
     placed_station_indices: list[int]
-    """Indices (k,) of the stations with an approximate position."""
+    """Indices (k,) of the stations whose approximate position is declared."""
     placed_station_positions: Floats
-    """Approximate positions (k, 3) [m] of these stations."""
+    """Approximate positions (k, 3) [m] of the stations in `placed_station_indices`."""
     station_yaws: tuple[float | None, ...]
-    """Approximate yaw [deg] of each station (S,); None if it is not declared."""
+    """Approximate yaw [deg] of each of the S stations; None for a station without a declared yaw."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredPlan:
-        """Floor plan of the set-up of a recording."""
+        """Floor plan that the set-up of a recording declares."""
         setups = [recording.station_setup(name) for name in recording.stations]
         places = [setup.position_mm for setup in setups]
         return cls(
@@ -50,16 +50,16 @@ class DeclaredPlan:
 
     @property
     def determines_rotation(self) -> bool:
-        """True if the plan determines its rotation to the network frame."""
+        """True if the floor plan determines its rotation to the network frame."""
         is_placed = len(self.placed_station_indices) >= MIN_PLAN_POSITIONS
         return self.has_control_points or is_placed or any(yaw is not None for yaw in self.station_yaws)
 
     def rotation_to_network(self, station_positions: Floats, station_rotations: Floats) -> Floats:
-        """Rotation (3, 3) from the frame of the plan to the network frame.
+        """Rotation matrix (3, 3) from the frame of the floor plan to the network frame.
 
-        The rotation is computed from the approximate positions of three or more stations that are not collinear,
-        otherwise from their yaws. It is the identity for a set-up with control points, and for one without positions
-        and yaws. `station_positions` (S, 3) [m] and `station_rotations` (S, 3, 3) are the poses in the network frame.
+        It follows from the approximate positions of three or more stations that are not collinear, otherwise from the
+        yaws. It is the identity for a set-up with control points, and for one without positions and yaws.
+        `station_positions` (S, 3) [m] and `station_rotations` (S, 3, 3) are the poses in the network frame.
         """
         if self.has_control_points:
             return np.eye(3)
@@ -71,9 +71,10 @@ class DeclaredPlan:
         return turn
 
     def _rotation_from_positions(self, station_positions: Floats, station_rotations: Floats) -> Floats | None:
-        """Rotation (3, 3) from the approximate positions of three or more stations; None if they do not determine one.
+        """Rotation matrix (3, 3) from the approximate positions of the stations; None if they do not determine one.
 
-        For upright instruments the vertical is that of their standing axes, because it is far more accurate.
+        For upright instruments, the vertical comes from the standing axes, which are far more accurate than the
+        positions.
         """
         if len(self.placed_station_indices) < MIN_PLAN_POSITIONS:
             return None
@@ -90,7 +91,7 @@ class DeclaredPlan:
         return level.T @ turn
 
     def _rotation_from_yaws(self, station_rotations: Floats) -> Floats | None:
-        """Mean (3, 3) of the rotations that follow from the yaw [deg] of each upright station; None without yaws."""
+        """Mean (3, 3) of the rotation matrices that follow from the yaws of upright stations; None without yaws."""
         station_rotations_to_plan = [
             r @ rotation_about_z(yaw * DEGREE).T
             for yaw, r in zip(self.station_yaws, station_rotations, strict=True)

@@ -1,8 +1,8 @@
-"""Incidence errors of reflectors in fixed nests, estimated with the network under a prior.
+"""Incidence errors of reflectors in fixed nests (range errors by the angle of incidence), estimated with a prior.
 
 Without a bench test the prior is that of the effect `smr-incidence`, for which the reflector of Sensors 2021, 21, 7479
-is typical. With a bench test the prior is the posterior given the results of this test. The estimated parameters are
-independent errors with a standard deviation of one.
+is typical. With a bench test the prior follows from the results of this test. The estimated parameters are independent
+errors with a standard deviation of one.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
 SMR_INCIDENCE_EFFECT = SmrIncidence()
-"""Effect with the range error as a function of the angle of incidence."""
+"""Catalogue effect with the range error as a function of the angle of incidence."""
 MIN_BENCH_TEST_SIGMA = 1e-3 * MICROMETRE
-"""Smallest standard deviation [m] of a range error from a bench test: a tenth of the resolution of interferometers. It
-replaces smaller declared values."""
+"""Smallest standard deviation [m] of a range error from a bench test, a tenth of the resolution of interferometers.
+It replaces smaller declared values."""
 
 
 @dataclass(frozen=True)
 class IncidenceErrors(LinearEffect):
-    """Range error of one reflector as a function of the incidence angle: a mean function plus k independent errors.
+    """Range error of one reflector as a function of the angle of incidence: a mean function plus k independent errors.
 
-    The mean follows from a bench test and is zero without one.
+    The mean function follows from a bench test and is zero without one.
     """
 
     reflector: str
@@ -41,14 +41,14 @@ class IncidenceErrors(LinearEffect):
     reflector_indicator: Floats
     """Indicator (n,) of the pointings to the reflector: 1 for these, 0 for the others of n pointings."""
     mean_parameters: Floats
-    """Expected values (p,) [SI] of the p parameters of the effect `smr-incidence`."""
+    """Parameters (p,) [SI] of the effect `smr-incidence` for the mean function."""
     covariance_root: Floats
-    """Change (p, k) [SI] of the p parameters of `smr-incidence` by one standard deviation of each of k independent
-    errors."""
+    """Root (p, k) of the covariance [SI] of the p parameters of the effect `smr-incidence`: column i is their change
+    by one standard deviation of the independent error i."""
 
     @property
     def name(self) -> str:
-        """Name of this group of nuisance parameters."""
+        """Name of the incidence errors in lists of nuisance errors."""
         return "incidence-errors"
 
     @property
@@ -59,14 +59,14 @@ class IncidenceErrors(LinearEffect):
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
-        """The p parameters (p, ...) [SI] of the effect `smr-incidence` for k independent errors (k, ...)."""
+        """Parameters (p, ...) [SI] of the effect `smr-incidence` for values (k, ...) of the k independent errors."""
         change: Floats = np.tensordot(self.covariance_root, independent_errors, 1)
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
-        """Range correction (n, p) of n pointings per unit of each of p parameters of `smr-incidence`.
+        """Derivatives (n, p) of the range corrections of n pointings by the p parameters of `smr-incidence`.
 
-        It is zero for pointings to other reflectors.
+        They are zero for pointings to other reflectors.
         """
         return (
             SMR_INCIDENCE_EFFECT.range_correction_design(*SMR_INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
@@ -74,20 +74,20 @@ class IncidenceErrors(LinearEffect):
         )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings of n pointings per unit of each of k independent errors."""
+        """Derivatives (n, 3, k) of the raw readings of n pointings with respect to the k independent errors."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )
 
     def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
-        """Change (n, 3) of the raw readings of n pointings by the mean function and by k independent errors (k,)."""
+        """Change (n, 3) of the readings of n pointings by the mean function and by k independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
-    """Incidence errors of a recording, one per reflector that was in a fixed nest with a known normal."""
+    """Incidence errors of a recording: one entry per reflector in a fixed nest with a known normal."""
     return tuple(_iterate_incidence_errors(recording))
 
 
@@ -97,7 +97,7 @@ def incidence_reading_change(
     """Change (n, 3) of the readings of n pointings by the incidence errors of reflectors.
 
     `parameters_by_reflector` has the p parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector.
-    A reflector without an entry has no error.
+    A reflector without an entry has no incidence error.
     """
     names = np.array(smr_names(recording))
     by_law = SMR_INCIDENCE_EFFECT.design(sightings)
@@ -108,7 +108,7 @@ def incidence_reading_change(
 
 
 def _iterate_incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
-    """Iterator over the incidence errors of each reflector that was in a fixed nest with a known normal."""
+    """Iterator over the incidence errors of each reflector in a fixed nest with a known normal."""
     setups = [recording.target_setup(name) for name in recording.targets]
     nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
     fixed = nests[recording.target]
@@ -122,9 +122,9 @@ def _iterate_incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]
 
 
 def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Floats, Floats]:
-    """Mean (p,) [SI] of the p parameters of `smr-incidence` given a bench test, and root R (p, p) of their covariance.
+    """Prior of the p parameters of `smr-incidence` from a bench test: mean (p,) [SI], root R (p, p) of the covariance.
 
-    The covariance is R R'. Without a bench test (None) the mean is zero and the covariance is the effect's prior.
+    The covariance is R R'. Without a bench test (None) the mean is zero, and the covariance is the prior of the effect.
     """
     mean, root = np.zeros(len(SMR_INCIDENCE_EFFECT.parameters)), np.diag(SMR_INCIDENCE_EFFECT.plausible_sizes)
     if bench_test is None:

@@ -1,4 +1,4 @@
-"""Forward model: predicted readings and their derivatives, from the network's state, its instruments and effects."""
+"""Forward model: readings predicted from the unknowns of a network, its instruments and effects, with derivatives."""
 
 import itertools
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
-    """Sightings of a recording's pointings with stations and targets at the poses and coordinates of `state`.
+    """Sightings of a recording, with the poses of the stations and the coordinates of the targets in `state`.
 
     Nest normals are transformed from the floor plan to the network frame.
     """
@@ -41,7 +41,7 @@ def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
 
 
 def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
-    """Sightings as in `sightings_at_state`, with nest normals rotated by `nest_rotation` (3, 3)."""
+    """Sightings as in `sightings_at_state`, with nest normals rotated by the matrix `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -62,20 +62,21 @@ def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nes
 
 
 def _nest_normals(recording: Recording) -> Floats:
-    """Declared normals (T, 3) of the nests of T targets, in the frame of the floor plan; NaN if unknown."""
+    """Declared normals (T, 3) of the nests of T targets, in the frame of the floor plan; NaN for an unknown normal."""
     missing = (np.nan, np.nan, np.nan)
     return _unit_vectors([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
 def plumb_directions(recording: Recording) -> Floats:
-    """Upward unit vectors (S, 3) along the plumb lines at the S stations, network frame."""
+    """Unit vectors (S, 3) upward along the plumb lines at the S stations, in the network frame."""
     return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
 def with_spherical_earth_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
-    """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up declares `curved`.
+    """Copy of a recording whose levelled stations have the plumb lines of a spherical earth.
 
-    `station_positions` (S, 3) [m] are the positions of the S stations. Declared plumb lines are not replaced.
+    If the set-up does not declare `curved`, the recording itself is returned. `station_positions` (S, 3) [m] are the
+    positions of the S stations. Declared plumb lines are not replaced.
     """
     if not recording.setup.curved:
         return recording
@@ -89,17 +90,17 @@ def with_spherical_earth_plumb_lines(recording: Recording, station_positions: Fl
 
 
 def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
-    """Unit vectors (n, 3) along n given directions."""
+    """Unit vectors (n, 3) in the n given directions (n, 3)."""
     vectors = np.array(directions, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def sight_vector_offsets(recording: Recording) -> Floats | None:
-    """Offsets (n, 3) [m] of the sight vectors of n pointings, network frame; None if all are 0.
+    """Offsets (n, 3) [m] of the reflector from the ground mark of its target in n pointings, network frame.
 
-    They are the `Sightings.sight_vector_offsets`. The offset of a pointing is the vector from the ground mark of its
-    target to the reflector. The height of the instrument above its ground mark, as declared for the set-up, is part of
-    the station's position. If a pointing has another instrument height, the difference is subtracted from the offset.
+    They are added to the vector from station to target; None if all are 0. The height of the instrument above its
+    ground mark, as declared for the set-up, is part of the station's position. If a pointing has another instrument
+    height, the difference is subtracted from the offset.
     """
     instrument, target = recording.heights()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
@@ -116,7 +117,7 @@ def sight_vector_offsets(recording: Recording) -> Floats | None:
 
 
 def smr_radius_offsets(recording: Recording) -> Floats | None:
-    """Offsets (n, 3) [m] of the reflector in n pointings due to an SMR of another radius than the reference SMR.
+    """Offsets (n, 3) [m] of the reflector in n pointings because of an SMR with another radius than the reference SMR.
 
     The offset is along the normal of the nest, in the frame of the set-up. The result is None if all radii are equal.
     `adjust` refuses a network in another frame than the set-up.
@@ -125,15 +126,15 @@ def smr_radius_offsets(recording: Recording) -> Floats | None:
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
 
 
-class LatestPrediction:
-    """Cache of the predicted readings at one network state, the last one for which they were computed."""
+class PredictionCache:
+    """Cache of the predicted readings for the unknowns for which they were last computed."""
 
     def __init__(self) -> None:
         self._state: NetworkState | None = None
         self._readings: Floats = np.zeros((0, 3))
 
     def readings_at_state(self, state: NetworkState, compute_readings: Callable[[NetworkState], Floats]) -> Floats:
-        """Copy of the readings (n, 3) of n pointings at `state`, computed unless `state` is the last object given."""
+        """Copy of the readings (n, 3) predicted for `state`; they are not computed again for the same object."""
         if state is not self._state:
             self._state, self._readings = state, compute_readings(state)
         return self._readings.copy()
@@ -141,15 +142,16 @@ class LatestPrediction:
 
 @dataclass(frozen=True)
 class MeasurementModel:
-    """Forward model of a recording, with the geometric error model of its instruments and additional effects."""
+    """Forward model of a recording, with the geometric error model of its instruments and with effects."""
 
     recording: Recording
+    """Recording with the pointings and the declared set-up."""
     construction: GeometricErrorModel
     """Geometric error model of all instruments."""
     effects: tuple[LinearEffect, ...] = ()
-    """Additional effects, whose parameters are unknowns."""
-    latest_prediction: LatestPrediction = field(default_factory=LatestPrediction, init=False, repr=False, compare=False)
-    """Cache of the readings at the state of the last call of `predict`: several tests need those at the solution."""
+    """Effects whose parameters are unknowns, in addition to instrument parameters and nuisance errors."""
+    prediction_cache: PredictionCache = field(default_factory=PredictionCache, init=False, repr=False, compare=False)
+    """Cache of the readings of the last call of `predict`, which several tests need for the adjusted unknowns."""
 
     @cached_property
     def height_errors(self) -> tuple[HeightErrors, ...]:
@@ -158,19 +160,19 @@ class MeasurementModel:
 
     @cached_property
     def incidence_errors(self) -> tuple[IncidenceErrors, ...]:
-        """Incidence errors of reflectors in fixed nests; none if `effects` contain them already."""
+        """Incidence errors of reflectors in fixed nests; none if `effects` contain incidence errors."""
         free = any(isinstance(effect, SmrIncidence) and not effect.place_text for effect in self.effects)
         return () if free or not self._declared_plan.determines_rotation else incidence_errors(self.recording)
 
     @property
     def incidence_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices of the q additional parameters, one for each entry of `incidence_errors`."""
+        """Slices that select the parameters of each entry of `incidence_errors` from the q additional parameters."""
         first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.height_errors)
         boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
-        """The p parameters (p, ...) [SI] of the effect `smr-incidence` of each reflector, by its name.
+        """Parameters (p, ...) [SI] of the effect `smr-incidence` by the name of the reflector.
 
         `parameters` (q, ...) are the values of all q additional parameters.
         """
@@ -184,7 +186,7 @@ class MeasurementModel:
 
     @property
     def centring_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices of the q additional parameters, one for each entry of `centring_errors`."""
+        """Slices that select the parameters of each entry of `centring_errors` from the q additional parameters."""
         n_parameters = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -201,90 +203,91 @@ class MeasurementModel:
         )
 
     @property
-    def extra_effects(self) -> tuple[LinearEffect, ...]:
-        """Additional effects, followed by the nuisance errors with a prior."""
+    def effects_and_nuisance_errors(self) -> tuple[LinearEffect, ...]:
+        """Effects, followed by the nuisance errors with a prior; their q parameters are the additional parameters."""
         return *self.effects, *self.nuisance_errors
 
     @property
     def n_extra_parameters(self) -> int:
-        """Number q of additional parameters: parameters of `effects` and of nuisance errors."""
-        return sum(len(effect.parameters) for effect in self.extra_effects)
+        """Number q of additional parameters: parameters of `effects` and of the nuisance errors."""
+        return sum(len(effect.parameters) for effect in self.effects_and_nuisance_errors)
 
     @property
     def n_effect_parameters(self) -> int:
-        """Number of parameters of `effects`, which are the first of the q additional parameters."""
+        """Number of parameters of `effects`; they are the first of the q additional parameters."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:
-        """The p instrument parameters [SI] at a state: (p,) for one instrument, otherwise (n, p) for n pointings."""
+        """Values [SI] in `state` of the p instrument parameters, (p,), or by pointing (n, p) for several trackers."""
         if len(state.instrument_parameters) == 1:
             return state.instrument_parameters[0]
         return state.instrument_parameters[self.recording.instrument]
 
     @cached_property
     def _declared_plan(self) -> DeclaredPlan:
-        """Floor plan of the set-up."""
+        """Floor plan that the set-up declares."""
         return DeclaredPlan.from_recording(self.recording)
 
     @cached_property
     def _static_sightings(self) -> Sightings:
-        """Sightings without poses and coordinates, computed once; nest normals are in the floor plan's frame."""
+        """Sightings without poses and coordinates, computed once; nest normals are in the frame of the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
         return _sightings_with_rotated_nests(self.recording, NetworkState(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
     def _is_horizontal_distance(self) -> Bools | None:
-        """Flags (n,) of those of n pointings with a horizontal distance; None if no distance is horizontal."""
+        """Mask (n,) of the pointings whose distance is horizontal; None if all are slope distances."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
     def sightings(self, state: NetworkState) -> Sightings:
-        """Sightings of the pointings for the poses, coordinates and instrument parameters of `state`."""
+        """Sightings of the pointings for the poses, coordinates and instrument parameters in `state`."""
         geometry = self.sightings_without_covariates(state)
         return self._with_normals_and_readings(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_normals_and_readings(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
-        """Sightings `geometry` with nest normals in the network frame and with raw readings (n, 3) of n pointings."""
+        """Copy of the sightings `geometry` with nest normals in the network frame and with raw readings (n, 3)."""
         turn = self._declared_plan.rotation_to_network(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
-        """Raw readings (n, 3) of n pointings with the errors of the instrument, but without additional effects."""
+        """Raw readings (n, 3) of n pointings with instrument errors, without effects and nuisance errors."""
         return self.construction.readings_from_points(
             geometry.local_points, geometry.face, self._instrument_parameter_values(state)
         )
 
     def sightings_without_covariates(self, state: NetworkState) -> Sightings:
-        """Sightings for the poses and coordinates of `state`, without data that only additional effects need."""
+        """Sightings for the poses and coordinates in `state`, without the data that only effects need."""
         return self._static_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
 
     def extra_design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the readings of n pointings per unit of each of q additional parameters."""
-        if not self.extra_effects:
+        """Derivatives (n, 3, q) of the readings of n pointings with respect to the q additional parameters."""
+        if not self.effects_and_nuisance_errors:
             return np.zeros((len(sightings), 3, 0))
-        return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
+        return np.concatenate([effect.design(sightings) for effect in self.effects_and_nuisance_errors], axis=2)
 
     def change_by_extra_parameters(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by all q additional parameters, with values (q,) [SI]."""
-        return self._linear_effects_change(self.extra_effects, sightings, parameters)
+        """Change (n, 3) of the readings of n pointings by all q additional parameters, whose values are (q,) [SI]."""
+        return self._linear_effects_change(self.effects_and_nuisance_errors, sightings, parameters)
 
     def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by `effects`, from q additional parameters (q,) [SI]."""
+        """Change (n, 3) of the readings of n pointings by `effects`; `parameters` (q,) [SI] are all additional ones."""
         return self._linear_effects_change(self.effects, sightings, parameters)
 
     def change_by_incidence_errors(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by incidence errors, from q additional parameters (q,) [SI]."""
+        """Change (n, 3) of the readings of n pointings by incidence errors; `parameters` (q,) are all additional."""
         return incidence_reading_change(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _linear_effects_change(
         self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
     ) -> Floats:
-        """Change (n, 3) of the readings of n pointings by `linear_effects`, which are the first of `extra_effects`.
+        """Change (n, 3) of the readings of n pointings by `linear_effects`.
 
-        `parameters` (q,) are the values of all q additional parameters.
+        They must be the first of `effects_and_nuisance_errors`. `parameters` (q,) are the values of all q additional
+        parameters.
         """
         change = np.zeros((len(sightings), 3))
         for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):
@@ -292,13 +295,14 @@ class MeasurementModel:
         return change
 
     def predict(self, state: NetworkState) -> Floats:
-        """Predicted raw readings (n, 3) [m, rad] of n pointings at `state`."""
-        return self.latest_prediction.readings_at_state(state, self._predicted_readings)
+        """Predicted raw readings (n, 3) [m, rad, rad] of n pointings for the unknowns in `state`."""
+        return self.prediction_cache.readings_at_state(state, self._predicted_readings)
 
     def _predicted_readings(self, state: NetworkState) -> Floats:
+        """Predicted raw readings (n, 3) of n pointings for the unknowns in `state`, without the cache."""
         sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
-        if self.extra_effects:
+        if self.effects_and_nuisance_errors:
             sightings = self._with_normals_and_readings(sightings, state, raw_readings)
             raw_readings = raw_readings + self.change_by_extra_parameters(sightings, state.extra_parameters)
         if self._is_horizontal_distance is not None:
@@ -308,25 +312,25 @@ class MeasurementModel:
         return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
-        """Parameter values of each entry of `extra_effects`; zeros if `parameters` has fewer than q values."""
-        n_parameters = [len(effect.parameters) for effect in self.extra_effects]
+        """Parameter values of each of `effects_and_nuisance_errors`; values that `parameters` lacks are zero."""
+        n_parameters = [len(effect.parameters) for effect in self.effects_and_nuisance_errors]
         all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
         return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
     def linearise(self, state: NetworkState) -> Prediction:
-        """Predicted readings at `state`, and their derivatives with respect to all unknowns."""
+        """Predicted readings for the unknowns in `state`, and their derivatives with respect to all unknowns."""
         sightings = self.sightings_without_covariates(state)
         values = self._instrument_parameter_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(
             sightings.local_points, sightings.face, values
         )
-        if self.extra_effects:
+        if self.effects_and_nuisance_errors:
             sightings = self._with_normals_and_readings(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
-        if self.extra_effects:
-            extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
+        if self.effects_and_nuisance_errors:
+            extra = zip(self.effects_and_nuisance_errors, self._values_by_effect(state.extra_parameters), strict=True)
             parts = [effect.linearise(sightings, values) for effect, values in extra]
             raw = raw + np.sum([part.reading_change for part in parts], axis=0)
             by_extra = np.concatenate([part.parameter_derivatives for part in parts], axis=2)
@@ -339,10 +343,10 @@ class MeasurementModel:
 
 
 def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
-    """Reduction of slope distances, and of their derivatives, to horizontal distances, in place.
+    """Reduction, in place, of slope distances and their derivatives to horizontal distances.
 
-    `is_horizontal` (n,) flags those of n pointings that are reduced, in the readings (n, 3) and in each derivative (n,
-    3, k) with respect to k unknowns.
+    `is_horizontal` (n,) flags those of n pointings that are reduced. `readings` (n, 3) and each derivative (n, 3, k)
+    with respect to k unknowns are changed.
     """
     range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)

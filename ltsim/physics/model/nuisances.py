@@ -1,6 +1,6 @@
-"""Nuisance parameters with a prior: errors of heights, centring errors, errors that readings share, and refraction.
+"""Nuisance parameters with a prior: errors of heights, centring errors, errors common to several readings, refraction.
 
-An adjustment estimates all of them together with the network.
+An adjustment estimates them together with the network.
 """
 
 from __future__ import annotations
@@ -30,41 +30,41 @@ from ltsim.scene.sightings import Sightings
 class HeightErrors(LinearEffect):
     """Errors of the heights of instruments and reflectors above their ground marks, one for each of q occupations.
 
-    An occupation is the time for which an instrument or reflector stands over a ground mark.
+    An occupation is the time during which an instrument or reflector stands over a ground mark.
     """
 
-    sigma: float
+    height_sigma: float
     """Standard deviation [m] of each height error."""
     occupation_coefficients: Floats
-    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 if the reflector of the pointing has
-    the height error of the occupation, -1 if the instrument has it, otherwise 0."""
+    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 for the occupation of the
+    reflector, -1 for the occupation of the instrument, otherwise 0."""
     plumb_directions: Floats
-    """Upward unit vector of the plumb line at the station of each of n pointings, (n, 3)."""
+    """Unit vectors (n, 3) upward along the plumb line at the station of each of n pointings."""
 
     @property
     def name(self) -> str:
-        """Name of this group of nuisance parameters."""
+        """Name of the height errors in lists of nuisance errors."""
         return "head-heights"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Height errors, one per occupation; `prior_sigma` is the declared standard deviation."""
+        """Height errors, one per occupation, with the declared standard deviation as prior."""
         return (
-            Parameter("head-height", "mm", "height error of an instrument or reflector", self.sigma),
+            Parameter("head-height", "mm", "height error of an instrument or reflector", self.height_sigma),
         ) * self.occupation_coefficients.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings of n pointings per unit of each of q height errors."""
+        """Derivatives (n, 3, q) of the raw readings of n pointings with respect to the q height errors."""
         return design_from_displacements(
             sightings, self.plumb_directions[:, :, None] * self.occupation_coefficients[:, None]
         )
 
 
 def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[HeightErrors, ...]:
-    """Errors of heights in a recording; none if its set-up does not declare their standard deviation.
+    """Height errors of a recording in a tuple; empty if its set-up declares no standard deviation of heights.
 
-    The columns `instrument_setup` and `target_setup` of the recording name the occupation of each pointing; a pointing
-    with an empty cell has no height error. `plumb_directions` (S, 3) are upward unit vectors at the S stations.
+    The columns `instrument_setup` and `target_setup` of the recording name the occupations of each pointing. A pointing
+    with an empty cell there has no height error. `plumb_directions` (S, 3) are upward unit vectors at the S stations.
     """
     sigma = recording.setup.height_above_mark_sigma_mm
     if sigma is None:
@@ -82,19 +82,19 @@ def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[Heigh
 
 @dataclass(frozen=True)
 class CentringErrors(TargetDisplacement):
-    """Displacements of reflectors from their targets (centring errors), three components per occupation of a target.
+    """Centring errors: displacements of reflectors from their targets, three components per occupation of a target.
 
-    All pointings of an occupation share its displacement.
+    All pointings of an occupation have the same displacement.
     """
 
-    sigma: float
+    displacement_sigma: float
     """Standard deviation [m] of each component of a displacement."""
     occupation_indices: Ints
-    """Index of the occupation of each of n pointings, (n,); -1 for pointings without a displacement."""
+    """Index (n,) of the occupation of each of n pointings; -1 for a pointing without displacement."""
 
     @property
     def name(self) -> str:
-        """Name of this group of nuisance parameters."""
+        """Name of the centring errors in lists of nuisance errors."""
         return "centring-errors"
 
     @property
@@ -104,13 +104,13 @@ class CentringErrors(TargetDisplacement):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The q components of all displacements, along the axes of the network; `prior_sigma` is `sigma`."""
-        return (Parameter("centring-error", "mm", "centring error of a reflector along an axis", self.sigma),) * (
-            3 * self.n_occupations
-        )
+        """The q components of all displacements along the network axes, with the prior sigma `displacement_sigma`."""
+        return (
+            Parameter("centring-error", "mm", "centring error of a reflector along an axis", self.displacement_sigma),
+        ) * (3 * self.n_occupations)
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, q) [m] of the reflector in each of n pointings, per metre of each of the q components."""
+        """Derivatives (n, 3, q) of the reflector's displacement in n pointings with respect to the q components."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         occupied_rows = np.flatnonzero(self.occupation_indices >= 0)
         displacements[occupied_rows, :, self.occupation_indices[occupied_rows]] = np.eye(3)
@@ -118,7 +118,7 @@ class CentringErrors(TargetDisplacement):
 
 
 def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
-    """Centring errors that the set-up of a recording declares, in the order of their declarations."""
+    """Centring errors that the set-up of a recording declares, one entry per declaration."""
     return tuple(
         CentringErrors(centring.sigma_mm * MILLIMETRE, target_occupations(recording, centring))
         for centring in recording.setup.centring
@@ -127,34 +127,34 @@ def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
 
 @dataclass(frozen=True)
 class SharedErrors(LinearEffect):
-    """Errors that several readings share: q independent errors in units of their standard deviations.
+    """Errors common to several readings: q independent errors in units of their standard deviations.
 
-    Let D be the diagonal matrix of the standard deviations of the independent noise, and F the changes of the readings
-    by one standard deviation of each shared error. The readings then have the covariance D^2 + F F'. Estimating the
-    errors together with the network is equivalent to an adjustment with this covariance.
+    Let D be the diagonal matrix of the standard deviations of the independent noise. Let F be the changes of the
+    readings by one standard deviation of each common error. The readings then have the covariance D^2 + F F'. To
+    estimate the errors together with the network is equivalent to an adjustment with this covariance.
     """
 
     reading_changes_per_sigma: Floats
-    """Change of the readings of n pointings by one standard deviation of each of q errors, (n, 3, q) [m, rad]."""
+    """Change (n, 3, q) [m, rad, rad] of the readings of n pointings by one standard deviation of each error."""
     is_horizontal_distance: Bools
-    """Flags (n,) of those of n pointings whose distance is reduced to the horizontal."""
+    """Mask (n,) of the pointings whose distance is reduced to the horizontal."""
 
     @property
     def name(self) -> str:
-        """Name of this group of nuisance parameters."""
+        """Name of the shared errors in lists of nuisance errors."""
         return "shared-errors"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The q shared errors as parameters in units of their standard deviations, with a prior sigma of 1 each."""
+        """The q errors as parameters in units of their standard deviations, with a prior standard deviation of 1."""
         return (
             Parameter("shared-error", "", "error that readings share", 1.0),
         ) * self.reading_changes_per_sigma.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings of n pointings per unit of each of q errors.
+        """Change (n, 3, q) of the raw readings of n pointings by one standard deviation of each of q errors.
 
-        The error of a horizontal distance h = r cos(e) is declared for h, while the result is for the raw range r and
+        The error of a horizontal distance h = r cos(e) is declared for h, but the result is for the raw range r and
         elevation e. The change of r is therefore such that h, with the changed e, changes by the declared error.
         """
         range_changes, (range_, _, elevation) = (
@@ -171,7 +171,7 @@ class SharedErrors(LinearEffect):
 
 
 def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
-    """Shared errors declared in the columns `shared_NAME_...` of a recording; an empty cell means no error."""
+    """Shared errors that a recording declares in columns `shared_NAME_...`; an empty cell there means no error."""
     columns = {name: parts for name in recording.covariates if (parts := SHARED_ERROR_COLUMN_PATTERN.fullmatch(name))}
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
@@ -185,10 +185,10 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
 
 @dataclass(frozen=True)
 class Refraction(LinearEffect):
-    """Refraction near the ground, with a prior for its coefficient.
+    """Refraction of lines of sight near the ground, with a prior for the coefficient of refraction.
 
-    The coefficient k is the radius R of the earth divided by the radius of the curved line of sight. A line of sight of
-    length d starts at the angle k d / (2 R) above its chord, so that the target appears higher.
+    The coefficient k is the radius R of the earth divided by the radius of curvature of the line of sight. A line of
+    sight of length d starts at the angle k d / (2 R) above its chord, so that the target appears higher.
     """
 
     mean_coefficient: float
@@ -198,7 +198,7 @@ class Refraction(LinearEffect):
 
     @property
     def name(self) -> str:
-        """Name of this group of nuisance parameters."""
+        """Name of the refraction in lists of nuisance errors."""
         return "refraction"
 
     @property
@@ -207,7 +207,7 @@ class Refraction(LinearEffect):
         return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings of n pointings per unit of the coefficient of refraction."""
+        """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to the coefficient of refraction."""
         _, across, up = sightings.beam_vectors
         bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # negative, because it is a correction
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
@@ -219,6 +219,6 @@ class Refraction(LinearEffect):
 
 
 def refraction_unknowns(recording: Recording) -> tuple[Refraction, ...]:
-    """Refraction as an unknown; none if the set-up does not declare its coefficient with a standard deviation."""
+    """Refraction as an unknown, in a tuple; empty if the set-up declares no coefficient with a standard deviation."""
     declared_refraction = recording.setup.refraction
     return () if declared_refraction is None else (Refraction(*declared_refraction),)

@@ -1,4 +1,4 @@
-"""State of a network, and the predicted readings at a state with their derivatives."""
+"""Unknowns of a network, and the readings that are predicted for them, with derivatives."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ltsim.geometry.rigid import matrix_from_rotation_vector
 
 @dataclass(frozen=True)
 class NetworkState:
-    """State of a network: all poses, coordinates and parameters that an adjustment estimates [SI], network frame.
+    """Values of all unknowns of a network [SI]: poses, coordinates and parameters, in the network frame.
 
     The arrays have S stations, T targets, I instruments with p parameters each, and q additional parameters.
     """
@@ -25,18 +25,18 @@ class NetworkState:
     target_points: Floats
     """Coordinates of T targets, (T, 3) [m]."""
     instrument_parameters: Floats
-    """The p parameters of the geometric error model of each of I instruments, (I, p) [SI]."""
+    """The p parameters of the geometric error model for each of I instruments, (I, p) [SI]."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """The q parameters of additional effects and nuisance errors, (q,) [SI]."""
+    """The q additional parameters, of effects and of nuisance errors, (q,) [SI]."""
 
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
     ) -> Self:
-        """State of S stations, T targets and I instruments after increments of all unknowns.
+        """Values of the unknowns after the given increments.
 
-        `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] of the stations in the network frame.
-        `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added to target
-        coordinates, to the p parameters of each instrument, and to the q additional parameters.
+        `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] of the S stations in the network frame.
+        `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added to the
+        coordinates of T targets, to the p parameters of I instruments, and to the q additional parameters.
         """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
@@ -49,7 +49,7 @@ class NetworkState:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted raw readings of n pointings, and their derivatives with respect to all unknowns."""
+    """Predicted raw readings of n pointings, with their derivatives with respect to all unknowns."""
 
     readings: Floats
     """Raw readings of n pointings: range [m], azimuth and elevation [rad], (n, 3)."""

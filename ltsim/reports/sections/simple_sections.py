@@ -11,7 +11,7 @@ from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
-from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES, EventEntry
+from ltsim.calibration.events import MIN_STEPS_FOR_EVENT_TEST, MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES, EventEntry
 from ltsim.calibration.history import History
 from ltsim.core.errors import option_text
 from ltsim.core.notation import number_text
@@ -311,7 +311,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     n_estimates = len(labels) * len(content.determined_parameters)
     course = [picture_if_few_items("Course of the parameters", figure, text, n_estimates)] if n_estimates else []
     limitation = (
-        "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
+        "no event can be detected" if len(labels) <= MIN_STEPS_FOR_EVENT_TEST else "only a gross event can be detected"
     )
     few_calibrations_sentence = (
         f" {len(labels)} calibrations are too few to estimate the usual changes of the instrument: {limitation}."

@@ -14,7 +14,7 @@ from ltsim.adjustment.evaluation.bench import BENCH_TABLE
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS
+from ltsim.physics.effects.smr_incidence import PAPER_INCIDENCE_RANGE_ERRORS
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "docs" / "how-to" / "reflector.csv"
@@ -34,7 +34,7 @@ def written(path: Path, bench: BenchTest, seed: int) -> Path:
 def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
     turns = np.arange(-30.0, 330.0, 7.5) * DEGREE
     bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
-    true = (np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]) / MICROMETRE
+    true = (np.array(PAPER_INCIDENCE_RANGE_ERRORS) - PAPER_INCIDENCE_RANGE_ERRORS[MIDDLE]) / MICROMETRE
     found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
     error = np.array([row.error_um for row in found.range_errors]) - true
     sigma = np.array([row.sigma_um for row in found.range_errors])

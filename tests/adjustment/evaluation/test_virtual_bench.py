@@ -9,9 +9,9 @@ from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_benc
 from ltsim.adjustment.evaluation.bench import evaluate_reflector_bench, fit_vertex_offset
 from ltsim.core.errors import InputError
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_INCIDENCE_RANGE_ERRORS
 
-PAPER = np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]
+PAPER = np.array(PAPER_INCIDENCE_RANGE_ERRORS) - PAPER_INCIDENCE_RANGE_ERRORS[MIDDLE]
 
 
 def quiet(**changes: object) -> BenchTest:
@@ -72,7 +72,7 @@ def test_a_vertex_off_centre_is_named() -> None:
     assert found.side_offset == pytest.approx(26e-6, abs=1e-12)
     assert found.unexplained_rms < 1e-12
     assert (
-        fit_vertex_offset(INCIDENCE_TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).unexplained_rms
+        fit_vertex_offset(INCIDENCE_TABLE_ANGLES, np.array(PAPER_INCIDENCE_RANGE_ERRORS), 0.14e-6).unexplained_rms
         > 0.2 * MICROMETRE
     )
 

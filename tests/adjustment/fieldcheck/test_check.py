@@ -25,7 +25,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.motions import exact_change_by_station_motion
+from ltsim.physics.effects.motions import reading_change_by_station_motion
 from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.setup import Instrument, Station
@@ -50,7 +50,7 @@ def moved(recording: Recording, station: int, time: float, motion: list[float]) 
     visit = StationOccupation.from_recording(recording.select(rows), misalignment_construction())
     after = recording.time[rows] >= time
     readings = recording.readings.copy()
-    readings[rows] += exact_change_by_station_motion(visit.sightings, after[:, None] * np.array(motion))
+    readings[rows] += reading_change_by_station_motion(visit.sightings, after[:, None] * np.array(motion))
     return recording.with_readings(readings)
 
 
@@ -129,7 +129,7 @@ def test_creeping_is_called_drift() -> None:
     recording = visits(6, values=0.5)
     visit = StationOccupation.from_recording(recording, misalignment_construction())
     share = recording.time / recording.time.max()
-    creep = exact_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
+    creep = reading_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
     found = check(recording.with_readings(recording.readings + creep))
     assert ("S1", "bump") not in kinds(found)
     assert found.sentence.startswith("no-go: S1 drifts")
@@ -151,7 +151,7 @@ def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
         recording.time / recording.time.max(),
     )
     for millimetres in (0.05, 0.3, 2.0):
-        sunk = exact_change_by_station_motion(
+        sunk = reading_change_by_station_motion(
             visit.sightings, share[:, None] * np.array([0, 0, -1e-3 * millimetres, 0, 0, 0])
         )
         found = check(recording.with_readings(recording.readings + sunk))
@@ -169,7 +169,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
         clean.readings.copy(),
         StationOccupation.from_recording(clean.select(rows), misalignment_construction()),
     )
-    sunk[rows] += exact_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
+    sunk[rows] += reading_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
     recording = clean.with_readings(sunk).select(np.isin(clean.face, faces))
     assert {kind for _, kind in kinds(check(recording))} == {"drift"}
     assert lt.adjust(recording).outliers == ()
@@ -190,7 +190,7 @@ def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed
     at = float(np.median(first.time))
     motion = (first.time > at)[:, None] * np.array([1e-3 * millimetres, 0, 0, 0, 0, 2e-5])
     bumped, visit = clean.readings.copy(), StationOccupation.from_recording(first, misalignment_construction())
-    bumped[rows] += exact_change_by_station_motion(visit.sightings, motion)
+    bumped[rows] += reading_change_by_station_motion(visit.sightings, motion)
     recording = clean.with_readings(bumped)
     found = check(recording)
     assert kinds(found) == {("S1", "bump")}

@@ -12,7 +12,7 @@ from ltsim.adjustment.identification import CauseSelection, FitInput, NetworkFit
 from ltsim.adjustment.identification.centring_errors import local_centring_hypotheses
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.native import read_recording, write_recording
@@ -42,7 +42,7 @@ def displaced(displacement: Floats, *, station: str | None = STATION) -> Recordi
     if station is not None:
         motion[recording.station != recording.stations.index(station)] = 0.0
     return recording.with_readings(
-        recording.readings + exact_change_by_displacement(adjust(recording).sightings, motion)
+        recording.readings + reading_change_by_displacement(adjust(recording).sightings, motion)
     )
 
 

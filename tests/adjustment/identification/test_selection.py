@@ -36,7 +36,7 @@ from ltsim.core.units import ARCSECOND
 from ltsim.diagnosis.findings_from_tests import cause_test_finding
 from ltsim.diagnosis.sentences import finding_title
 from ltsim.geometry.rigid import align_robustly, rotation_about_z
-from ltsim.physics.effects.motions import exact_change_by_displacement, exact_change_by_station_motion
+from ltsim.physics.effects.motions import reading_change_by_displacement, reading_change_by_station_motion
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_at_state
@@ -171,7 +171,7 @@ def test_a_station_that_moves_evenly_is_no_drift_of_a_constant() -> None:
     at = recording.station == 1
     elapsed = np.where(at, (recording.time - recording.time[at].min()) / np.ptp(recording.time[at]), 0.0)
     motion = elapsed[:, None] * np.array([2e-4, -1e-4, -3e-4, 2e-5, 0.0, 0.0])
-    change = exact_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
+    change = reading_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-drift", ("S2",), ())
 
@@ -196,7 +196,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     rows = np.flatnonzero(recording.station == 1)
     motion = np.zeros((len(recording), 6))
     motion[rows[len(rows) // 2 :], :2] = [0.8 * size, -0.6 * size]
-    change = exact_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
+    change = reading_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-bump", ("S2",), ())
     (test,) = [t for t in cause_tests(selection) if t.kind == "station-bump"]
@@ -217,7 +217,7 @@ def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None
         FitInput(recording.with_readings(recording.readings + change), declared_construction(recording))
     ).fit
     (hypothesis,) = right.hypotheses
-    elsewhere = bump.with_constants(time=float(between[len(between) // 2 + gaps]))
+    elsewhere = bump.with_shape_parameters(time=float(between[len(between) // 2 + gaps]))
     wrong = NetworkFit.from_start(
         right.fit_input, (replace(hypothesis, model_change=replace(hypothesis.model_change, effect=elsewhere)),)
     )
@@ -231,7 +231,7 @@ def test_a_target_that_moved_between_two_stations() -> None:
     recording, truth = hall()
     motion = np.zeros((len(recording), 3))
     motion[(recording.target == 4) & (recording.station >= 2)] = [1e-3, 0.0, 2e-3]
-    change = exact_change_by_displacement(sightings_at_state(recording, truth.state), motion)
+    change = reading_change_by_displacement(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("target-moved", (), ("T05",))
     sentence = cause_tests(selection)[0].sentence

@@ -15,7 +15,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.core.arrays import Ints
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.motions import exact_change_by_displacement
+from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.recordings.recording import Recording
 from ltsim.reports.sections import result_section
 from tests.networks import mesh, network
@@ -69,7 +69,7 @@ def badly_seated_reflector(size: float) -> tuple[Recording, Place]:
     rows = rows_of("S2", "T07")
     displacement = np.zeros((len(workshop()), 3))
     displacement[rows] = size * np.array([0.6, -0.64, 0.48])
-    change = exact_change_by_displacement(adjust(workshop()).sightings, displacement)
+    change = reading_change_by_displacement(adjust(workshop()).sightings, displacement)
     return workshop().with_readings(workshop().readings + change), (("S2",), ("T07",))
 
 
@@ -115,7 +115,7 @@ def moved_target(size: float) -> tuple[Recording, Place]:
     sightings = adjust(recording).sightings
     late = (recording.station >= 3) & (recording.target == recording.targets.index("T07"))
     displacement = late[:, None] * np.array([0.6, 0.5, -0.62]) * size
-    changed = recording.readings + exact_change_by_displacement(sightings, displacement)
+    changed = recording.readings + reading_change_by_displacement(sightings, displacement)
     return recording.with_readings(changed), ((), ("T07",))
 
 

@@ -18,7 +18,7 @@ from ltsim.physics.effects import EFFECT_CLASSES_BY_GROUP
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.beam_tilt import BeamTilt
 from ltsim.physics.effects.catalogue import (
-    BUILTIN_PROVIDER,
+    BUILTIN_PROVIDER_NAME,
     DOCSTRING_SECTIONS,
     PACKAGE_EFFECTS_HEADING,
     Catalogue,
@@ -31,11 +31,11 @@ CARD = """Cold: it is cold.
 Delta_d = c.
 
 Size: 1 um.
-Like: nothing.
+Similar to: nothing.
 Separate by: a stove.
-Valid: in winter.
+Validity: in winter.
 Source: none.
-Status: not validated.
+Validation: not validated.
 """
 
 
@@ -69,7 +69,7 @@ def test_installed_effects_follow_the_shipped_ones_by_name(strange: ModuleType) 
     assert [kind.name for kind in found] == ["beam-tilt", "backlash", "cold", "warmth"]
     assert (found.entries["cold"].group, found.entries["backlash"].provider) == (
         PACKAGE_EFFECTS_HEADING,
-        BUILTIN_PROVIDER,
+        BUILTIN_PROVIDER_NAME,
     )
     assert found.find("warmth") is found[-1]
 
@@ -90,7 +90,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (made("cold", parameters=()), "lacks a light_path_stage or parameters"),
         (made("cold", base_rate=0.0), "its base_rate is 0.0, expected a positive number"),
         (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
-        (made("cold", CARD.replace("Valid: in winter.\n", "")), "the sections Size, Like"),
+        (made("cold", CARD.replace("Validity: in winter.\n", "")), "the sections Size, Similar to"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],
 )
@@ -119,7 +119,11 @@ def test_a_card_is_read_by_its_parts() -> None:
     card = CatalogueEntry.from_docstring(CARD)
     assert (card.title, card.cause_description, card.equation) == ("Cold", "it is cold", "Delta_d = c.")
     assert card.sections()[2] == (DOCSTRING_SECTIONS[2], "a stove.")
-    for broken in (CARD.replace("Cold: ", "Cold, "), CARD.replace("Like", "Alike"), CARD.replace("Delta_d = c.\n", "")):
+    for broken in (
+        CARD.replace("Cold: ", "Cold, "),
+        CARD.replace("Similar", "Alike"),
+        CARD.replace("Delta_d = c.\n", ""),
+    ):
         with pytest.raises(ModelError, match=r"docstring"):
             CatalogueEntry.from_docstring(broken)
 

@@ -48,7 +48,7 @@ def test_the_card_has_all_parts(kind: type[Effect]) -> None:
     assert not card.title.endswith(".")
     told = dict(card.sections())
     assert re.search(r"\d", told["Size"]) or issubclass(kind, Blunder)
-    assert re.search(r"validated|empirical", told["Status"])
+    assert re.search(r"validated|empirical", told["Validation"])
 
 
 @EVERY

@@ -22,7 +22,7 @@ from ltsim.physics.effects.mesh_expansion import MeshExpansion
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.effects.range_cyclic import MAX_WAVELENGTH, MIN_WAVELENGTH, RangeCyclic
+from ltsim.physics.effects.range_cyclic import MAX_CANDIDATE_WAVELENGTH, MIN_CANDIDATE_WAVELENGTH, RangeCyclic
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
@@ -108,7 +108,7 @@ def test_search_for_a_wavelength_misses_little() -> None:
     tried = RangeCyclic.candidates(SCENE)
     waves = np.array([e.wavelength for e in tried])
     rng = np.random.default_rng(3)
-    for wavelength in 1 / rng.uniform(1 / MAX_WAVELENGTH, 1 / MIN_WAVELENGTH, 60):
+    for wavelength in 1 / rng.uniform(1 / MAX_CANDIDATE_WAVELENGTH, 1 / MIN_CANDIDATE_WAVELENGTH, 60):
         wave = np.cos(2 * np.pi * SCENE.range_ / wavelength + rng.uniform(0, 6))
         near = np.argsort(np.abs(1 / waves - 1 / wavelength))[:2]
         shares = []

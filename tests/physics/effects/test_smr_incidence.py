@@ -8,7 +8,7 @@ from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import (
     INCIDENCE_TABLE_ANGLES,
     MAX_TABULATED_INCIDENCE,
-    PAPER_RANGE_ERRORS,
+    PAPER_INCIDENCE_RANGE_ERRORS,
     SmrIncidence,
 )
 from ltsim.scene.sightings import Sightings
@@ -46,7 +46,7 @@ def signed(angles: Floats) -> tuple[Floats, Floats]:
 
 
 def test_table_has_the_size_and_asymmetry_of_the_paper() -> None:
-    table = np.array(PAPER_RANGE_ERRORS) / MICROMETRE
+    table = np.array(PAPER_INCIDENCE_RANGE_ERRORS) / MICROMETRE
     middle = np.abs(INCIDENCE_TABLE_ANGLES) < 8 * DEGREE
     assert table[middle].mean() == pytest.approx(3.0, abs=0.5)
     assert table.max() == table[0] == pytest.approx(13.0)
@@ -56,12 +56,12 @@ def test_table_has_the_size_and_asymmetry_of_the_paper() -> None:
 
 NONE = np.zeros(len(SmrIncidence.parameters))
 CENTRE = len(INCIDENCE_TABLE_ANGLES) // 2
-FROM_CENTRE = np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[CENTRE]
+FROM_CENTRE = np.array(PAPER_INCIDENCE_RANGE_ERRORS) - PAPER_INCIDENCE_RANGE_ERRORS[CENTRE]
 
 
 def test_the_table_is_met_at_its_own_angles_less_its_value_at_normal_incidence() -> None:
     scene = sightings(*signed(INCIDENCE_TABLE_ANGLES))
-    change = SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(scene, NONE)
+    change = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, NONE)
     np.testing.assert_allclose(change[:, 0], FROM_CENTRE, atol=1e-12)
     assert not change[:, 1:].any()
 
@@ -80,14 +80,16 @@ def test_the_paper_table_is_a_typical_draw_of_the_prior() -> None:
     edge = SmrIncidence.range_correction_design(np.full(2, MAX_TABULATED_INCIDENCE), np.array([0.0, np.pi]))[:, :12]
     spread = np.sqrt((edge**2) @ SmrIncidence().plausible_sizes[:12] ** 2)
     np.testing.assert_allclose(spread, 8.85e-6, rtol=0.01)
-    ratio = np.abs(SmrIncidence(table=PAPER_RANGE_ERRORS).parameters_from_table) / SmrIncidence().plausible_sizes
+    ratio = (
+        np.abs(SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).parameters_from_table) / SmrIncidence().plausible_sizes
+    )
     assert ratio.max() < 2.0
 
 
 def test_direction_turns_the_table_around_the_nest() -> None:
     chi = 0.7
     incidence, direction = signed(INCIDENCE_TABLE_ANGLES)
-    turned = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=chi).reading_change(
+    turned = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS, direction=chi).reading_change(
         sightings(incidence, direction + chi), NONE
     )
     np.testing.assert_allclose(turned[:, 0], FROM_CENTRE, atol=1e-12)
@@ -95,7 +97,7 @@ def test_direction_turns_the_table_around_the_nest() -> None:
 
 def test_across_the_plane_only_the_even_part_is_left() -> None:
     angle = np.full(2, 30 * DEGREE)
-    across = SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(
+    across = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(
         sightings(angle, np.array([0.5, -0.5]) * np.pi), NONE
     )
     np.testing.assert_allclose(across[:, 0], 0.5 * (FROM_CENTRE[0] + FROM_CENTRE[-1]), atol=1e-12)
@@ -103,18 +105,18 @@ def test_across_the_plane_only_the_even_part_is_left() -> None:
 
 def test_the_error_is_linear_between_the_angles_and_stays_beyond_the_edge() -> None:
     fine = np.linspace(-40, 40, 321) * DEGREE
-    error = SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(sightings(*signed(fine)), NONE)[:, 0]
+    error = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(sightings(*signed(fine)), NONE)[:, 0]
     np.testing.assert_allclose(error, np.interp(fine, INCIDENCE_TABLE_ANGLES, FROM_CENTRE), atol=1e-12)
 
 
 def test_reaimed_reflectors_have_no_error() -> None:
     scene = sightings(*signed(INCIDENCE_TABLE_ANGLES), reaimed=True)
-    assert not SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(scene, np.ones(len(NONE))).any()
+    assert not SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, np.ones(len(NONE))).any()
 
 
 def test_unknown_nests_give_no_terms_and_nothing_undefined() -> None:
     scene = sightings(np.array([0.3]), np.array([0.2]), known=False)
-    assert not SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(scene, NONE).any()
+    assert not SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, NONE).any()
 
 
 def test_parameters_are_sizes_at_the_edge() -> None:
@@ -128,5 +130,5 @@ def test_parameters_are_sizes_at_the_edge() -> None:
 
 def test_acts_where_it_is_confined_to() -> None:
     scene = sightings(np.full(3, 0.3), np.zeros(3))
-    confined = SmrIncidence(("S1",), table=PAPER_RANGE_ERRORS).reading_change(scene, NONE)
+    confined = SmrIncidence(("S1",), table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, NONE)
     assert np.flatnonzero(confined[:, 0]).tolist() == [1]

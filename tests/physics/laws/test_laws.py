@@ -12,13 +12,13 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.motions import station_motion_design
-from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.places import MIN_GROUP_SIZE, target_clusters
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS, target_clusters
 from ltsim.physics.laws.regressor_library import (
     BUILTIN_COVARIATES,
     candidate_regressors,
-    is_admissible,
+    is_physically_possible,
     regressors_for_target_groups,
 )
 from ltsim.physics.laws.regressors import (
@@ -123,14 +123,14 @@ def test_laws_are_effects_like_any_other(sightings):
     short = law.candidate_formulas(sightings)
     assert {d.regressor.function for d in short} >= {"power", "decay"}
     assert (
-        catalogue_name(EmpiricalLaw((), (), law.response, scalar_regressor("station-time", "decay", 900.0)))
+        equivalent_effect_name(EmpiricalLaw((), (), law.response, scalar_regressor("station-time", "decay", 900.0)))
         == "index-drift"
     )
     wave = EmpiricalLaw(
         (), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], Regressor("wave", ("elevation",), constant=107.35)
     )
-    assert catalogue_name(wave) == "encoder-interpolation"
-    assert catalogue_name(law) == "unknown"
+    assert equivalent_effect_name(wave) == "encoder-interpolation"
+    assert equivalent_effect_name(law) == "unknown"
 
 
 def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
@@ -194,9 +194,9 @@ def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_togeth
 
 
 def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
-    assert not is_admissible("target", smooth_regressor("azimuth"), sightings)
-    assert is_admissible("target", smooth_regressor("time"), sightings)
-    assert is_admissible("reading", smooth_regressor("azimuth"), sightings)
+    assert not is_physically_possible("target", smooth_regressor("azimuth"), sightings)
+    assert is_physically_possible("target", smooth_regressor("time"), sightings)
+    assert is_physically_possible("reading", smooth_regressor("azimuth"), sightings)
 
 
 def test_targets_on_one_surface_belong_together():
@@ -205,7 +205,7 @@ def test_targets_on_one_surface_belong_together():
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
     found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
-    assert all(MIN_GROUP_SIZE <= len(group) <= 12 - MIN_GROUP_SIZE for group in found)
+    assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in found)
 
 
 def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
@@ -287,7 +287,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
     ],
 )
 def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
-    assert catalogue_name(EmpiricalLaw(stations, (), RESPONSE_AND_DESIGN_BY_NAME[carrier][0], driver)) == name
+    assert equivalent_effect_name(EmpiricalLaw(stations, (), RESPONSE_AND_DESIGN_BY_NAME[carrier][0], driver)) == name
 
 
 @pytest.mark.parametrize(
@@ -304,5 +304,6 @@ def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, nam
 )
 def test_a_step_or_creep_of_one_target_is_a_moved_target(targets, driver, name):
     assert (
-        catalogue_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0], driver)) == name
+        equivalent_effect_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0], driver))
+        == name
     )

@@ -10,12 +10,14 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
+from ltsim.physics.laws.accumulations import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.physics.laws.columns import FORMULA_FUNCTIONS, HYSTERESIS_FUNCTION
 from ltsim.physics.laws.regressor_library import BUILTIN_COVARIATES, candidate_regressors
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
     DEFLECTION_FUNCTION,
     Regressor,
+    accumulation_regressor,
     group_amounts_regressor,
     latch_regressor,
     nearness_regressor,
@@ -23,11 +25,9 @@ from ltsim.physics.laws.regressors import (
     piecewise_regressor,
     scalar_regressor,
     smooth_regressor,
-    state_regressor,
     switch_regressor,
     with_position_dependence,
 )
-from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.physics.laws.text_form import (
     GROUP_COVARIATES,
     PHRASE_BY_COVARIATE,
@@ -96,19 +96,21 @@ def every() -> list[Regressor]:
         )
     ]
     found += [scalar_regressor("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
-    found += [state_regressor("work-azimuth", how, 1.0) for how in ("after face", "after seating", "after azimuth")]
     found += [
-        state_regressor("station-time", "after elevation", 1.0),
-        state_regressor("station-time", "after pause", 90.0),
+        accumulation_regressor("work-azimuth", how, 1.0) for how in ("after face", "after seating", "after azimuth")
     ]
     found += [
-        state_regressor("count", "after slew", 0.5),
-        state_regressor("wound-azimuth", "after tip", 0.25),
-        state_regressor("count", FIXED_COUNT_RESET_FUNCTION, 12.0),
+        accumulation_regressor("station-time", "after elevation", 1.0),
+        accumulation_regressor("station-time", "after pause", 90.0),
     ]
     found += [
-        state_regressor("work-elevation", TIME_DECAY_FUNCTION, 300.0),
-        state_regressor("work-distance", POINTING_DECAY_FUNCTION, 4.0),
+        accumulation_regressor("count", "after slew", 0.5),
+        accumulation_regressor("wound-azimuth", "after tip", 0.25),
+        accumulation_regressor("count", FIXED_COUNT_RESET_FUNCTION, 12.0),
+    ]
+    found += [
+        accumulation_regressor("work-elevation", TIME_DECAY_FUNCTION, 300.0),
+        accumulation_regressor("work-distance", POINTING_DECAY_FUNCTION, 4.0),
     ]
     found += [
         latch_regressor("distance", 5.2, 4.1),
@@ -187,7 +189,7 @@ def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     assert law.has_coefficients_per_setup and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
     assert not parse_law("elevation", "exp(-station-time / 8 min)", recording).has_coefficients_per_setup
-    with pytest.raises(ModelError, match="applies to all set-ups, not to S2"):
+    with pytest.raises(ModelError, match="applies to all set-ups, not only to S2"):
         parse_law("elevation", "time, separately at each set-up", recording, stations=("S2",))
 
 

@@ -7,14 +7,14 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS, SmrIncidence
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_INCIDENCE_RANGE_ERRORS, SmrIncidence
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.incidence import incidence_errors, incidence_prior_from_bench_test
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import BenchTest
 
-TABLE = np.array(PAPER_RANGE_ERRORS) / MICROMETRE
+TABLE = np.array(PAPER_INCIDENCE_RANGE_ERRORS) / MICROMETRE
 
 
 def recorded(**changes: object) -> Recording:
@@ -61,7 +61,7 @@ def test_each_reflector_has_an_error_of_its_own() -> None:
 
 def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_see() -> None:
     mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
-    truth = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
+    truth = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
     angles = np.abs(INCIDENCE_TABLE_ANGLES), np.where(INCIDENCE_TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
     seen = SmrIncidence.range_correction_design(*angles)
     np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)

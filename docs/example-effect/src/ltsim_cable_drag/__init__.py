@@ -1,15 +1,16 @@
 """Cable drag: the cable of the head winds up as it turns and twists the instrument against its base.
 
-Delta_azimuth = k x, x the raw azimuth, which counts from the middle of the travel to the stops at half a turn: the
-instrument follows the cable's pull by a share of the angle that the head has turned. The same at every station, and of
-opposite sign on both sides of the cable's rest.
+The correction (true value minus reading) is Delta_azimuth = k x, with the fraction k and the raw azimuth x, counted
+from the middle of the travel between two stops half a turn away. The pull of the cable turns the instrument by the
+fraction k of the angle that the head has turned. The error is equal at every station, and has opposite signs on both
+sides of the cable's rest position.
 
 Size: under 0.2 ppm (0.2 urad a radian) with a hanging cable, 2 to 5 ppm with a stiff one that lies on the floor.
-Like: azimuth-eccentricity sine and azimuth-drift where targets are taken round the clock.
+Similar to: azimuth-eccentricity sine and azimuth-drift where targets are taken round the clock.
 Separate by: a target taken again after a full turn of the head; two faces; the cable hung up.
-Valid: a cable that pulls in proportion to the turn; targets on more than half of the circle.
+Validity: a cable that pulls in proportion to the turn; targets on more than half of the circle.
 Source: mechanics of a torsion spring.
-Status: validated on the sign and against a simulated recording.
+Validation: validated on the sign and against a simulated recording.
 """
 
 from dataclasses import dataclass

@@ -8,6 +8,15 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.physics.laws.accumulations import (
+    ACCUMULATED_COVARIATES,
+    FIXED_COUNT_RESET_FUNCTION,
+    POINTING_DECAY_FUNCTION,
+    TIME_DECAY_FUNCTION,
+    accumulation_column,
+    candidate_accumulation_keys,
+    candidate_latch_keys,
+)
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import (
     candidate_regressors,
@@ -16,15 +25,6 @@ from ltsim.physics.laws.regressor_library import (
 )
 from ltsim.physics.laws.regressors import latch_regressor, scalar_regressor, switch_regressor
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
-from ltsim.physics.laws.states import (
-    FIXED_COUNT_RESET_FUNCTION,
-    POINTING_DECAY_FUNCTION,
-    STATE_INPUTS,
-    TIME_DECAY_FUNCTION,
-    candidate_latches,
-    candidate_state_keys,
-    state_column,
-)
 from ltsim.scene.regions import (
     REGION_SHAPES,
     HallRegion,
@@ -82,12 +82,12 @@ def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
 )
 def test_a_state_is_what_its_definition_gives(sightings: Sightings, name: str, how: str, constant: float) -> None:
     np.testing.assert_allclose(
-        state_column(sightings, name, how, constant), by_hand(sightings, name, how, constant), atol=1e-9
+        accumulation_column(sightings, name, how, constant), by_hand(sightings, name, how, constant), atol=1e-9
     )
 
 
 def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None:
-    tried = candidate_state_keys(sightings, STATE_INPUTS)
+    tried = candidate_accumulation_keys(sightings, ACCUMULATED_COVARIATES)
     assert len(set(tried)) == len(tried) > 100
     columns = np.stack([sightings.derived_cache[key] for key in tried], axis=1)
     assert np.isfinite(columns).all() and (columns.std(axis=0) > 0.0).all()
@@ -111,7 +111,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
 
 
 def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
-    for name, above, below in candidate_latches(sightings, ("distance", "elevation")):
+    for name, above, below in candidate_latch_keys(sightings, ("distance", "elevation")):
         x = sightings.covariate_values[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()

@@ -1,8 +1,8 @@
 """Estimation of effects and empirical laws that the user requests, together with the calibration.
 
-Stations, targets and shape constants that the user does not fix are selected so that chi-square decreases most. The
-shape constants are then adjusted with all other unknowns. The p-value of the decrease is corrected for the number of
-tested combinations of stations, targets and shape constants.
+Stations, targets and shape parameters (period, time constant, onset time) that the user does not fix are selected so
+that chi-square decreases most. The shape parameters are then adjusted with all other unknowns. The p-value of the
+decrease is corrected for the number of tested combinations of stations, targets and shape parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ from ltsim.core.errors import ModelError, option_text
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
-from ltsim.physics.effects.verbs import LOCATION_FIELDS
+from ltsim.physics.effects.verbs import LOCATION_FIELD_NAMES
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
@@ -31,15 +31,15 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """Effect or empirical law that the user requests; the readings determine the fields outside `fixed_fields`."""
+    """Effect or empirical law that the user requests, and the fields that the user fixed."""
 
     effect: CandidateEffect
-    """Effect with the requested stations, targets and shape constants."""
+    """Effect with the requested stations, targets and shape parameters."""
     fixed_fields: frozenset[str] = frozenset()
-    """Names of the fields whose values the user gave."""
+    """Names of the fields whose values the user gave; the readings determine the other ones."""
 
     def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
-        """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
+        """Check that the effect can be estimated in the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option_text('noise_from_data=True')} to estimate the noise"
@@ -51,13 +51,13 @@ class RequestedEffect:
             raise ModelError(
                 f"{name} is always estimated in a calibration; restrict it to a station, as in {name}:NAME"
             )
-        for kind, names in zip(LOCATION_FIELDS, (recording.stations, recording.targets), strict=True):
+        for kind, names in zip(LOCATION_FIELD_NAMES, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
     def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
-        """Variants of the effect (stations, targets, shape constants) that agree with the fields fixed by the user."""
+        """Variants of the effect (stations, targets, shape parameters) that agree with the fields fixed by the user."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
         matching = [
@@ -69,22 +69,23 @@ class RequestedEffect:
             return matching
         free_shapes = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
         grids = product(*([(s.name, float(v)) for v in s.grid_values()] for s in free_shapes))
-        return [self.effect.with_constants(**dict(shape)) for shape in grids]
+        return [self.effect.with_shape_parameters(**dict(shape)) for shape in grids]
 
 
-def fit_with_extra_effects(
+def fit_with_requested_effects(
     adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     unreported_effects: Sequence[CandidateEffect],
-    extra_effects: Sequence[RequestedEffect],
+    requested_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """Adjustment with the requested effects, and the entry of each effect for the result.
 
-    The stations, targets and shape constants of each effect are selected with all previous effects in the model.
-    `unreported_effects` are estimated first and have no entry.
+    The stations, targets and shape parameters of each effect are selected with all previous effects in the model.
+    `adjust_with` is a function from effects to the adjustment with these. The `unreported_effects` are estimated first
+    and have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
-    for wanted in extra_effects:
+    for wanted in requested_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
         best = max(
             candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_design(effect))))
@@ -92,7 +93,7 @@ def fit_with_extra_effects(
         freedom, before = space.chi2_drop(space.whitened_design(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
-            adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
+            adjustment, fit = _refit_with_best_shape_parameters(adjust_with, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
         place = (
             "" if isinstance(estimated, EmpiricalLaw) and estimated.has_coefficients_per_setup else estimated.place_text
@@ -119,12 +120,12 @@ def fit_with_extra_effects(
     )
 
 
-def _refit_with_best_constants(
+def _refit_with_best_shape_parameters(
     adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects whose shape constants minimise chi-square, and the last refit of these constants."""
+    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters."""
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -136,7 +137,7 @@ def _refit_with_best_constants(
 
 
 def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
-    """Name of an effect; for an empirical law its text, as in `elevation ~ time`."""
+    """Name of an effect for users; for an empirical law its text, such as `elevation ~ time`."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
     regressor_name = regressor_text(effect.regressor, has_clock=adjustment.recording.has_clock)
@@ -144,7 +145,7 @@ def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
-    """Entries of the estimated sizes of an empirical law, one of the effects of an adjustment."""
+    """Entries of the estimated sizes (such as the amplitude) of an empirical law in an adjustment."""
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
     first_parameter = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first_parameter, first_parameter + len(law.parameters))
@@ -160,7 +161,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape constants (names, fixed numbers, estimated numbers)."""
+    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers)."""
     parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
@@ -175,7 +176,7 @@ def _effect_entries(
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
-    """Entry of one estimated parameter or shape constant in display units, from its estimate and sigma in SI units."""
+    """Entry of an estimated parameter or shape parameter in display units; `estimate` and `sigma` are in SI units."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)
