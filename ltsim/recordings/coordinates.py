@@ -1,13 +1,13 @@
-"""Readers of lists of coordinates (names with x, y, z), which every command uses for such files.
+"""Readers of lists of points (names with coordinates x, y, z), used by all commands.
 
-`read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
-``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations are in
-``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line has a name and three
-numbers, after which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance
+`read_points` reads delimited text or a workbook. A header names the columns, with or without units:
+``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``. Standard deviations are in
+columns such as ``sigma_x_mm`` or ``sX``, or in one column ``sigma`` for all axes. A line without header has a name and
+three numbers. Three or four standard deviations (x, y, z, length of this vector) and the nine numbers of a covariance
 may follow, as SpatialAnalyzer writes them.
 
-`read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
-(the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or results of gama-local (XML).
+`read_coordinates` reads coordinates with the covariance matrix of all points: a list with ``NAME.covariance.csv`` in
+its folder (matrix [mm^2] with ``TARGET.x`` in header and first column), or an XML result of gama-local.
 """
 
 import csv
@@ -42,19 +42,19 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
 MAX_COVARIANCE_ASYMMETRY = 1e-6
-"""Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
+"""Largest permitted difference of the entries ij and ji of a covariance matrix, divided by the largest variance."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
-"""Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
+"""Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
 MAX_COORDINATE_IN_METRES = 500.0
-"""Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
+"""Number below which the largest coordinate of a list without unit is read in metres; otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
-"""Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
+"""Number from which the largest coordinate of a list without unit shows a national grid, whose unit is the metre."""
 NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
+"""Column titles, in lower case, of coordinates in a national grid, which without a unit are read in metres."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
-"""Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
+"""Possible numbers of fields in a line without header: name, x, y, z, then 3 or 4 sigmas, then a covariance."""
 POINT_NAME_ROLES = ("target", "station", "", "time", "date")
-"""Possible roles of the column that names the points; the first role that a header contains is used."""
+"""Roles of the columns that may contain the names of points; the first role that a header contains is used."""
 POINT_LIST_CONTENT_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -63,22 +63,22 @@ POINT_LIST_CONTENT_TEXT = (
 
 @dataclass(frozen=True)
 class PointList:
-    """List of n named points, in the order of its file."""
+    """Points of a file (n names with coordinates), in the order of the file."""
 
     names: tuple[str, ...]
     points: Floats
-    """Coordinates (n, 3) [m] of the n points; NaN for a coordinate that the list does not give."""
+    """Coordinates (n, 3) [m] of the n points; NaN for a missing coordinate."""
     covariance: Floats
-    """Covariance matrix [m^2] of the coordinates of each of the n points, (n, 3, 3); NaN if not given."""
+    """Covariance matrix (n, 3, 3) [m^2] of the coordinates of each of the n points; NaN if not given."""
     notes: tuple[str, ...] = ()
     additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Texts of each additional column by its header, one text for each point."""
+    """Texts of the other columns by header, one text for each point."""
     line_numbers: tuple[int, ...] = ()
-    """Line number of each point in the file."""
+    """Line number in the file of each point."""
     n_contradictory_rows: int = 0
-    """Number of rows that repeat a name with other coordinates and are ignored."""
+    """Number of ignored rows, which repeat the name of an earlier row with different coordinates."""
     max_contradiction_m: float = 0.0
-    """Largest distance [m] between an ignored row and the first row with the same name."""
+    """Largest distance [m] between an ignored row and the first row with its name."""
 
     @property
     def sigma(self) -> Floats:
@@ -87,26 +87,26 @@ class PointList:
 
     @property
     def coordinates_by_name(self) -> dict[str, Floats]:
-        """Coordinates x, y, z (3,) [m] by name of the point; points with a missing coordinate are left out."""
+        """Coordinates x, y, z (3,) [m] by name of the point, without points that lack a coordinate."""
         is_complete = np.asarray(np.isfinite(self.points).all(axis=1))
         return {self.names[i]: self.points[i] for i in np.flatnonzero(is_complete).tolist()}
 
 
 def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> PointList:
-    """List of points from a file.
+    """Points in a file with their coordinates.
 
-    Without a unit in the header the unit is the metre or the millimetre, by size, and a note reports which.
+    If the header gives no unit, the size of the numbers decides (metres or millimetres), and a note reports it.
 
     Parameters
     ----------
     path : str or Path
     refuses_contradictions : bool
-        True to refuse a point that is listed again with other coordinates; False to use its first ones, with a note.
+        True to refuse a name that occurs again with different coordinates; False to use its first row, with a note.
 
     Raises
     ------
     RecordError
-        One sentence: file, row, the content there and the expected content.
+        File, row, content of the cell, and expected content.
     """
     path = Path(path)
     for sheet in read_sheets(path):
@@ -117,7 +117,7 @@ def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> Poi
 
 
 def recognises(file_beginning: str) -> bool:
-    """True if a file that begins with the text `file_beginning` is a list of points, with or without a header."""
+    """True if a file that begins with the text `file_beginning` is a list of points, with or without header."""
     first_rows = head_rows(file_beginning)
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
@@ -128,12 +128,12 @@ def recognises(file_beginning: str) -> bool:
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
-    """Fields of a row without the empty one after a separator at the end of the line."""
+    """Fields of a row without an empty last field, which a separator at the end of the line creates."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point (0), and columns of a list without header; None for other content."""
+    """Columns of a list of points without header, preceded by 0, the number of header rows; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
     if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
@@ -147,7 +147,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point, and columns that the header names; None if there is no such header."""
+    """Number of rows before the first point, and columns with the roles from the header; None without such a header."""
     for place, row in enumerate(sheet_rows):
         if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue
@@ -165,7 +165,7 @@ def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColu
 
 
 class _PointRowReader:
-    """Reader of the points in a sheet from row index `first_row` on; `columns` give the role of each column."""
+    """Reader of the points in a sheet from row index `first_row` on; `columns` are the columns with their roles."""
 
     def __init__(self, sheet: TableSheet, first_row: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[first_row:], columns
@@ -175,7 +175,7 @@ class _PointRowReader:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, refuses_contradictions: bool) -> PointList:
-        """List of the points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
+        """Points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
         self.sheet.require_complete_end(self.width)
         places, row_indices, numbers = dict[str, int](), list[int](), array("d")
         n, notes, ignored = len(self.numbers), list[str](), list[tuple[Sequence[float], list[float]]]()
@@ -187,13 +187,13 @@ class _PointRowReader:
                 row_indices.append(index)
                 numbers.extend(values)
             elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
-                what = f"the point {safe_excerpt(name)} was listed before with other coordinates"
+                what = f"the point {safe_excerpt(name)} occurs again with different coordinates"
                 if refuses_contradictions:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
                 ignored.append((before, values))
         if not places:
-            raise RecordError("holds no points", file=self.sheet.file)
+            raise RecordError("contains no points", file=self.sheet.file)
         table = np.array(numbers).reshape(len(places), -1)
         scale, decisions = self._unit_factors(table)
         numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
@@ -208,7 +208,7 @@ class _PointRowReader:
         return PointList(tuple(places), points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
 
     def _name_and_numbers(self, row: SheetRow) -> tuple[str, list[float]]:
-        """Name of the point in one row, and its numbers; NaN for an empty cell."""
+        """Name of the point in one row, and the numbers in the columns of coordinates; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
@@ -224,7 +224,7 @@ class _PointRowReader:
         return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factors (k,) from the k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
+        """Factors (k,) that convert k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
@@ -238,7 +238,7 @@ class _PointRowReader:
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariance (n, 3, 3) [m^2] of n points, from columns (n,), by role, of full matrices or standard deviations."""
+    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) by role: full matrices or standard deviations."""
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -254,17 +254,17 @@ def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -
 
 @dataclass(frozen=True)
 class EpochCoordinates:
-    """Coordinates of T points of one epoch along the d axes that were measured, with their joint covariance matrix."""
+    """Coordinates of T points at one epoch, along the d axes that were measured, with one covariance matrix of all."""
 
     title: str
     names: tuple[str, ...]
     """Names of the T points."""
     axes: str
-    """Measured axes, a selection of `xyz`."""
+    """Measured axes, as letters among `xyz`, such as `xy`."""
     points: Floats
     """Coordinates (T, 3) [m] of the T points; 0 along axes that were not measured."""
     covariance: Floats
-    """Joint covariance (T d, T d) [m^2] of T points along d axes; rows are ordered by point, then by axis."""
+    """Joint covariance matrix (T d, T d) [m^2] of T points along d axes; rows are sorted by point, then by axis."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -274,12 +274,12 @@ class EpochCoordinates:
 
 
 def _targets_path(path: Path) -> Path:
-    """Path of the list of targets if `path` is a folder of results; otherwise `path` itself."""
+    """Path of the file `targets.csv` if `path` is a folder of results; otherwise `path` unchanged."""
     return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:
-    """True for a list of coordinates, a result of gama-local, or a folder of results with coordinates of targets."""
+    """True for a list of points, an XML result of gama-local, or a folder of results with `targets.csv`."""
     path = _targets_path(path)
     if not path.is_file():
         return False
@@ -288,7 +288,7 @@ def is_coordinate_file(path: Path) -> bool:
 
 
 def read_coordinates(path: Path) -> EpochCoordinates:
-    """Coordinates of one epoch with their covariance, from a file or a folder of results; raises RecordError."""
+    """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError."""
     if not path.exists():
         raise RecordError("there is no such file", file=path)
     folder, path = path, _targets_path(path)
@@ -303,12 +303,12 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
-        raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
+        raise RecordError("contains a covariance matrix that is not positive definite; correct it", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 
 
 def _coordinates_from_gama(path: Path) -> EpochCoordinates:
-    """Adjusted points in a result file of gama-local, with their covariance matrix from its upper band [mm^2]."""
+    """Adjusted points in an XML result of gama-local, with the covariance matrix from its upper band [mm^2]."""
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
@@ -327,7 +327,7 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
     if size < (n_used := len(point_cells) * len(axes)):
-        raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
+        raise RecordError(f"contains a <cov-mat> that is smaller than its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""
@@ -340,7 +340,7 @@ def _parse_number(cell: XmlNode) -> float:
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Coordinates from a list, along the axes it contains; covariance from `NAME.covariance.csv` or its columns."""
+    """Coordinates in a list of points, with covariances from `NAME.covariance.csv` or from columns of the list."""
     point_list = read_points(path)
     measured = np.isfinite(point_list.points)
     axes = "".join(
@@ -371,7 +371,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
-    """Content of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2] of coordinates with names like ``TARGET.x``."""
+    """Text of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2]; `coordinates` are names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(map(escape_formula, coordinates))
@@ -382,7 +382,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
 
 
 def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
-    """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
+    """Covariance matrix [mm^2] of the coordinates `coordinate_names`, which the file may contain in another order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
     names = list(map(unescape_formula, first.fields[1:]))
@@ -391,10 +391,10 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
         what = f"the coordinate {safe_excerpt(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("has rows whose length differs from the header", file=path)
+        raise RecordError("contains rows with more or fewer cells than the header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     sigma = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
-        raise RecordError("is not symmetric", file=path)
+        raise RecordError("contains a matrix that is not symmetric", file=path)
     indices = [names.index(name) for name in coordinate_names]
     return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]

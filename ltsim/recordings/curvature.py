@@ -1,4 +1,4 @@
-"""Curvature of the earth: directions of the vertical of set-ups whose lines of sight are long enough to be affected."""
+"""Curvature of the earth in a network: plumb lines that differ between stations, and vertical refraction."""
 
 import numpy as np
 
@@ -6,23 +6,22 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_SIGMAS = 0.1
-"""Angle of the earth's curvature over the longest line of sight, divided by the standard deviation of its elevation,
-above which the curvature is modelled."""
+"""Limit for modelling the earth's curvature: its angle over the longest line of sight, divided by the standard
+deviation of an elevation. A larger ratio is modelled."""
 
 DEFAULT_REFRACTION = 0.13, 0.1
-"""Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
-deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
-"""
+"""Coefficient of refraction near the ground (radius of the earth divided by the radius of the ray) and its standard
+deviation: mean value of Gauss; Brunner 1984, Geodetic Refraction."""
 
 
 def with_earth_curvature(recording: Recording) -> Recording:
-    """Recording whose set-up has plumb lines that depend on the position (`curved`), and refraction.
+    """Recording whose set-up models the earth's curvature (key `curved`) and refraction, where they are significant.
 
-    A recording whose set-up declares `curved` is unchanged, and a declared refraction is kept. Over a line of sight of
-    length d a level surface departs from the horizontal plane by d^2 / (2 R), with R the radius of the earth, which is
-    an angle of d / (2 R). The curvature is modelled if this angle exceeds `MIN_CURVATURE_SIGMAS` standard deviations of
-    an elevation. Refraction changes the angle by its fraction k (the coefficient of refraction). It is modelled if k
-    plus one standard deviation of k, times the angle, exceeds the same limit.
+    A set-up that declares `curved` remains unchanged, and a declared refraction is used. Over a line of sight of length
+    d, a level surface departs from the horizontal plane by d^2 / (2 R), with the radius R of the earth. This is an
+    angle of d / (2 R). The curvature is modelled if the angle exceeds `MIN_CURVATURE_SIGMAS` standard deviations of an
+    elevation. Refraction changes the angle by its fraction k (the coefficient of refraction). Refraction is modelled if
+    the angle, multiplied by the sum of k and its standard deviation, exceeds the same number of standard deviations.
     """
     setup = recording.setup
     is_levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]

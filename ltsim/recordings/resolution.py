@@ -1,8 +1,8 @@
-"""Resolution of the readings of a file: the largest usual display step of which all readings are multiples.
+"""Display step of an instrument: the largest usual step of which all its readings are multiples.
 
-A total station displays about as many digits as are significant, so the default noise that is assumed for it is no
-smaller than the step of its readings. The step follows from the values, not from the number of digits in the file:
-angles in degrees, minutes and seconds, and lengths converted from feet, have digits beyond their step.
+The noise that is assumed for a total station is not smaller than this step, because an instrument displays only
+significant digits. The step is determined from the values. The number of digits in the file can be larger, for example
+for angles in degrees, minutes and seconds and for lengths converted from feet.
 """
 
 from collections.abc import Sequence
@@ -23,23 +23,24 @@ ANGLE_DISPLAY_STEPS = tuple(
         reverse=True,
     )
 )
-"""Display steps [rad] of theodolites, the largest first; smaller steps are negligible compared with the default noise.
+"""Usual display steps [rad] of angles, the largest first; smaller steps are negligible compared with the assumed noise.
 """
 FOOT_DISPLAY_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
-"""Display steps [m] of distance meters that display feet, the largest first."""
+"""Usual display steps [m] of distances in feet, the largest first."""
 LENGTH_DISPLAY_STEPS = tuple(sorted((*FOOT_DISPLAY_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
-"""Display steps [m] of distance meters that display metres or feet, the largest first."""
+"""Usual display steps [m] of distances in metres or feet, the largest first."""
 MAX_STEP_DEVIATION = 1e-4
-"""Largest difference between a reading and a multiple of a step, in steps, at which the reading counts as this
-multiple: rounding of numbers with 15 digits."""
+"""Largest deviation of a reading from a multiple of a step, divided by the step, that rounding of 15 digits can
+explain."""
 MIN_VALUES_FOR_STEP = 10
-"""Number of different readings below which no step is determined: so few may all be multiples by chance."""
+"""Smallest number of different readings from which a display step is determined; fewer may be multiples of it by
+chance."""
 
 
 def reading_step(readings: Floats, steps: Sequence[float]) -> float:
-    """Largest of `steps` of which all finite ones of n `readings` (n,) are multiples; 0 if there is no such step.
+    """Largest of `steps` of which all finite values among n `readings` (n,) are multiples; 0 if there is none.
 
-    `steps` are in descending order and in the unit of the readings.
+    `steps` are in descending order and have the unit of the readings.
     """
     readings = readings[np.isfinite(readings)]
     if len(np.unique(readings)) < MIN_VALUES_FOR_STEP:
@@ -50,10 +51,10 @@ def reading_step(readings: Floats, steps: Sequence[float]) -> float:
 
 
 def default_total_station(readings: Floats, reason: str) -> tuple[Instrument, str]:
-    """Default total station with a noise no smaller than the steps of its readings, and a note that reports this noise.
+    """Total station with assumed noise, at least the display steps of its readings, and a note that reports the noise.
 
-    `readings` (n, 3) of n pointings are distance, azimuth, elevation [m, rad, rad]; `reason` is the part of the note
-    that says why the file is taken as that of a total station.
+    `readings` (n, 3) of n pointings are distance, azimuth, elevation [m, rad, rad]. `reason` is the part of the note
+    that says why the file is attributed to a total station.
     """
     noise = TOTAL_STATION.noise
     distance_mm = reading_step(readings[:, 0], LENGTH_DISPLAY_STEPS) / MILLIMETRE

@@ -111,7 +111,7 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
         read(places(tmp_path / "b.csv", one_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
     list_ = file_of(tmp_path, "\n".join(rows) + "\n", "d.csv")
-    with pytest.raises(RecordError, match=r"list of 6 points without readings.*--hint station=NAME"):
+    with pytest.raises(RecordError, match=r"list of 6 points without instrument readings.*--hint station=NAME"):
         read(list_)
     alone = read(list_, format="table", hints=Hints(station="S9"))
     assert (alone.stations, len(alone)) == (("S9",), 6)
@@ -209,8 +209,8 @@ def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) ->
     [
         ("wrong,thing\n1,2\n", "is not a list of coordinates, expected a header that names the point"),
         ("name,x_mm,y_mm,z_mm\nA,1,x,3\n", "row 2, column y_mm: found 'x', expected a number"),
-        ("name,x_mm,y_mm,z_mm\n", "holds no points"),
-        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "row 3: the point A was listed before with other coordinates"),
+        ("name,x_mm,y_mm,z_mm\n", "contains no points"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "row 3: the point A occurs again with different coordinates"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,3,4\n", "5 fields, expected 4 as in the header"),
     ],
 )

@@ -183,7 +183,7 @@ def test_deep_nesting(tmp_path: Path) -> None:
 def test_other_xml(tmp_path: Path) -> None:
     file = tmp_path / "n.xml"
     file.write_text('<?xml version="1.0"?><html/>')
-    with pytest.raises(RecordError, match="has none of the formats"):
+    with pytest.raises(RecordError, match="is in none of the formats"):
         read(file)
     with pytest.raises(RecordError, match="expected <gama-local>"):
         read(file, format="gama-local")

@@ -173,4 +173,4 @@ def test_notes_on_a_file_are_bounded(tmp_path: Path) -> None:
     notes = read(tmp_path / "a.lgc").notes
     assert len(notes) == MAX_NOTES + 1
     assert max(map(len, notes)) < 500
-    assert "further notes on the file are left out" in notes[-1]
+    assert "further notes are not listed" in notes[-1]

@@ -141,9 +141,7 @@ def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: 
     setup = tmp_path / "rec" / "setup.toml"
     whole = setup.read_text()
     setup.write_text(whole.replace("[instrument]\n", '[instrument]\nsheet = "leica-at500"\n', 1))
-    told = [
-        note for note in lt.read(tmp_path / "rec").notes if "replace the values of the data sheet leica-at500" in note
-    ]
+    told = [note for note in lt.read(tmp_path / "rec").notes if "replace values of the data sheet leica-at500" in note]
     assert len(told) == 1
     assert "noise.azimuth_arcsec" in told[0]
     assert "prior.range_scale_ppm" in told[0]
