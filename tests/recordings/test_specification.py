@@ -63,7 +63,7 @@ def test_every_sheet_says_where_its_figures_stand() -> None:
 def test_no_range_is_guessed() -> None:
     with pytest.raises(ModelError, match="leica-at960 does not give range_limit_um"):
         data_sheet("leica-at960")
-    with pytest.raises(ModelError, match=r"give the error of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
+    with pytest.raises(ModelError, match=r"give errors of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
         noise_and_prior_tables("api-radian", {"noise": RANGE_TABLES["noise"]})
 
 
@@ -86,7 +86,7 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(InputError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"the range of elevations; set limits.*limits.range_max_mm"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
     with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
@@ -97,7 +97,7 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == noise_and_prior_tables("faro-vantage", {})["noise"]
-    with pytest.raises(InputError, match="does not give the error of ranges"):
+    with pytest.raises(InputError, match="does not give errors of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument

@@ -138,7 +138,7 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
     assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
     assert (
-        "the noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        "the default noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
         in recording.notes[0]
     )
     assert all(recording.station_setup(name).levelled for name in recording.stations)
@@ -149,7 +149,7 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
         survey(tmp_path / "a.csv", [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)], heights=False, digits=7)
     )
     assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
-    assert "the noise of the default laser tracker is used" in recording.notes[0]
+    assert "the default noise of a laser tracker is used" in recording.notes[0]
     assert not recording.setup.stations
 
 

@@ -56,5 +56,5 @@ def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: ColumnConvers
 def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:
     recording, _ = network(seed=2)
     gon = next(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name == "gon")
-    with pytest.raises(RecordError, match="agree if the column holds gon; expected degrees"):
+    with pytest.raises(RecordError, match="agree if the column contains gon; expected degrees"):
         write_recording(slipped(recording, gon), tmp_path)  # what could not be read back is not written
