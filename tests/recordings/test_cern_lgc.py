@@ -122,7 +122,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     ("old", "new", "says"),
     [
         ("*END\n", "", "without *END and is incomplete"),
-        ("*TSTN HALL.S1. AT402.1", "*TSTN HALL.S1. AT999.9", "declared as *POLAR"),
+        ("*TSTN HALL.S1. AT402.1", "*TSTN HALL.S1. AT999.9", "that *POLAR declares"),
         ("*TSTN HALL.S1.", "*TSTN HALL.S9.", "no block of points declares"),
         ("HALL.P1. 100.5", "HALL.PX. 100.5", "in no block of points"),
         ("HALL.P1. 100.5", "HALL.P1. abc", "expected a number"),
@@ -231,7 +231,7 @@ def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("SX 0 SZ 2", "BEAR 10 SX 1", "standard deviations in axes rotated by BEAR are not read"),
+        ("SX 0 SZ 2", "BEAR 10 SX 1", "axes of standard deviations are rotated (BEAR), which is"),
         ("MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)", "DIAG(1,2)", "expected DIAG"),
         ("MAT(4e-6,1e-6,0", "MAT(4e-6,2e-6,0", "expected DIAG"),
         ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 2", "three standard deviations"),

@@ -1,8 +1,9 @@
 """Declarations in files of CERN's LGC: points with the precision of their coordinates, and polar instruments.
 
-``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
-free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its
-coordinates and their standard deviations in mm. Several observations of a point are replaced by their weighted mean.
+The options ``SX``, ``SY``, ``SZ`` at the end of a ``*POIN`` line are standard deviations in mm, 0 for a fixed axis; an
+axis without option is free. ``APRICOV DIAG(...)`` or ``MAT(...)`` is a covariance in square metres. An ``*OBSXYZ`` line
+observes a point: coordinates, and their standard deviations in mm. Several observations of a point are replaced by
+their weighted mean.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-"""Size of the unit cc, 1e-4 gon [rad]."""
+"""Size [rad] of the unit cc, which is 1e-4 gon."""
 FIXED_SIGMA_M = 1e-7
-"""Standard deviation [m] that is used for a coordinate declared as fixed."""
+"""Standard deviation [m] that represents a fixed coordinate in the adjustment."""
 FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
-"""Axes along which a point is fixed, by the keyword (such as ``*CALA``) of the section in which it is declared."""
+"""Axes along which points are fixed, by the keyword (such as ``*CALA``) of the section with their declarations."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
-"""Options of a point that are followed by the standard deviation along x, y, z."""
+"""Options of a point that precede the standard deviations along x, y, z."""
 SIGMA_ROTATION_OPTIONS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
-"""Options of a point that rotate the axes of its standard deviations; a file with one is refused."""
+"""Options that rotate the axes of a point's standard deviations; a file with such an option is refused."""
 OPTIONS_WITH_VALUE = (
     "OBSE",
     "PPM",
@@ -44,12 +45,12 @@ OPTIONS_WITH_VALUE = (
     "IHSE",
     "ICSE",
 )
-"""Options of LGC that are followed by a value; all other options are flags."""
+"""Options of LGC that have a value after their name; all other options are flags."""
 
 
 @dataclass(frozen=True)
 class LineWords:
-    """Words of one line of the file, with the location of the line."""
+    """Words of one line of an LGC file, and location of the line."""
 
     tokens: Sequence[str]
     location: SourceLocation
@@ -61,52 +62,53 @@ class LineWords:
         return self.tokens[:n_words]
 
     def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers in the words from index `first_word` on, one for each name in `columns`, which errors report.
+        """Numbers in consecutive words from index `first_word` on; `columns` are the names of these words in errors.
 
-        Raises RecordError if a word is no decimal number of at most `limit` in magnitude.
+        Raises RecordError if a word is not a decimal number of at most `limit` in magnitude.
         """
         words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.number(word, column, limit=limit) for word, column in words]
 
     def options(self, first_word: int) -> LineOptions:
-        """Options from the word with index `first_word` on: flags, or names with a value; raises RecordError."""
+        """Options at the end of the line, from the word with index `first_word`; raises RecordError."""
         value_by_option: dict[str, str] = {}
         remaining_words = iter(self.tokens[first_word:])
         for word in map(str.upper, remaining_words):
             value = next(remaining_words, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
-                raise self.location.error(f"the option {word} has no value")
+                raise self.location.error(f"the option {word} has no value, expected a value after it")
             value_by_option[word] = value
         return LineOptions(value_by_option, self.location)
 
 
 @dataclass(frozen=True)
 class LineOptions:
-    """Options at the end of a line: the text of each value by name of the option, '' for a flag."""
+    """Options at the end of a line of an LGC file: text of each value by name of the option, '' for a flag."""
 
     values: dict[str, str]
     location: SourceLocation
 
     def number(self, name: str, default: float) -> float:
-        """Value of an option as a number, or the default if the line does not have the option; raises RecordError."""
+        """Value of the option `name` as a number; `default` if the line does not have it. Raises RecordError."""
         return self.location.number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
 class DeclaredPoint:
-    """Point declared in the file, with its coordinates and their inverse covariance."""
+    """Point declared in an LGC file: coordinates, and sums for the weighted mean of its observed coordinates."""
 
     declared_point: Floats
-    """Declared coordinates, known or approximate, (3,) [m]."""
+    """Coordinates (3,) [m] in the declaration, either known or approximate."""
     inverse_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """Inverse covariance (3, 3) [1 / m^2] of the observed coordinates x, y, z; 0 along axes without an observation."""
+    """Sum (3, 3) [1 / m^2] of the inverse covariances of all observations of the point; 0 along axes without
+    observation."""
     weighted_coordinate_sum: Floats = field(default_factory=lambda: np.zeros(3))
-    """Product (3,) [1 / m] of `inverse_covariance` and the observed coordinates, for the weighted mean."""
+    """Sum (3,) [1 / m] of the products of inverse covariance and observed coordinates."""
 
     def add_observation(self, point: Floats, covariance: Floats, axis_mask: Bools | None = None) -> None:
-        """Addition of observed coordinates `point` (3,) [m] with their covariance (3, 3) [m^2].
+        """Addition of an observation: coordinates `point` (3,) [m] and their covariance (3, 3) [m^2].
 
-        `axis_mask` (3,) is True for the axes that were observed; by default all.
+        `axis_mask` (3,) is True for the observed axes; by default all.
         """
         block = np.ix_(*[np.ones(3, dtype=bool) if axis_mask is None else axis_mask] * 2)
         weights = np.zeros((3, 3))
@@ -116,25 +118,25 @@ class DeclaredPoint:
 
     @property
     def known_axes(self) -> Axes | None:
-        """Axes along which the coordinates are known, such as "xy"; None if no coordinate is known."""
+        """Axes with fixed or observed coordinates, such as "xy"; None if there are none."""
         axes = "".join(axis for axis, weight in zip("xyz", np.diag(self.inverse_covariance), strict=True) if weight > 0)
         return axes or None  # type: ignore[return-value]
 
     @property
     def is_fixed(self) -> bool:
-        """True if the point is fixed along all axes, so that further observations are ignored."""
+        """True if the point is fixed along all axes; observations of its coordinates are then ignored."""
         return bool(np.all(np.diag(self.inverse_covariance) >= 0.5 * FIXED_SIGMA_M**-2))
 
     @property
     def is_placeholder(self) -> bool:
-        """True if the plan coordinates of the point are 0, which means unknown."""
+        """True if the plan coordinates are 0, which stands for unknown coordinates."""
         return not np.any(self.declared_point[:2])
 
     @property
     def point_and_covariance(self) -> tuple[Floats, Floats]:
-        """Adjusted coordinates (3,) [m] and their covariance (3, 3) [m^2].
+        """Weighted mean (3,) [m] of the observed coordinates, and its covariance (3, 3) [m^2].
 
-        A coordinate that was not observed has its declared value and a variance of 1 mm^2.
+        A coordinate without observation has the declared value and a variance of 1 mm^2.
         """
         axes = np.diag(self.inverse_covariance) > 0
         block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
@@ -146,9 +148,9 @@ class DeclaredPoint:
 
 
 def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint]:
-    """Name and declaration of the point in a line of a section of points; raises RecordError.
+    """Name and declaration of the point in a line of a section such as ``*CALA``; raises RecordError.
 
-    `keyword` is that of the section, such as ``CALA``.
+    `keyword` is the keyword of the section, without asterisk.
     """
     name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
     point = DeclaredPoint(declared_point)
@@ -161,7 +163,7 @@ def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint
 
 
 def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
-    """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of the point in a line of *OBSXYZ; raises RecordError."""
+    """Name, coordinates (3,) [m], covariance (3, 3) [m^2] of the point in an ``*OBSXYZ`` line; raises RecordError."""
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
     name, point = _name_and_point(line_words, message)
     line_words.first_words(7, message)
@@ -172,16 +174,18 @@ def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
 
 
 def _name_and_point(line_words: LineWords, message: str) -> tuple[str, Floats]:
+    """Name and coordinates (3,) [m] at the beginning of a line; RecordError with `message` if they are missing."""
     name = line_words.location.name(line_words.tokens[0], "point")
     line_words.first_words(4, message)
     return name, np.array(line_words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
 def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
+    """Addition of the standard deviations or covariance in `sigma_words` to a point; raises RecordError."""
     rotation_word = next((word for word in sigma_words if word in SIGMA_ROTATION_OPTIONS), None)
     if rotation_word is not None:
         raise location.error(
-            f"standard deviations in axes rotated by {rotation_word} are not read; give APRICOV instead"
+            f"the axes of standard deviations are rotated ({rotation_word}), which is not supported; use APRICOV"
         )
     if "APRICOV" in sigma_words:
         point.add_observation(
@@ -209,10 +213,10 @@ def _parse_matrix(word: str, location: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class TargetSigmas:
-    """Declared standard deviations of pointings to targets of one kind, and the height of such targets.
+    """Declared precision of the observations of one kind of target of a polar instrument, and height of such targets.
 
-    The standard deviations are those of the azimuth [cc] and of the zenith angle (`elevation`) [cc], and for the
-    distance a constant part [mm] and a proportional part [ppm]. The height is in metres.
+    `azimuth` and `elevation` are the standard deviations [cc] of azimuths and of zenith angles. `distance` [mm] and
+    `ppm` are the constant and the proportional part of that of distances. `target_height` is in metres.
     """
 
     azimuth: float
@@ -222,7 +226,7 @@ class TargetSigmas:
     target_height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
-        """Standard deviation [m, rad] of an observation, from the options of its line or else from this declaration.
+        """Standard deviation [m, rad] of an observation, from the options of its line, otherwise from this declaration.
 
         `kind` is azimuth, elevation or distance; `value` is the distance [m]. Raises RecordError if the result is 0.
         """
@@ -238,16 +242,16 @@ class TargetSigmas:
 
 @dataclass
 class PolarInstrument:
-    """Polar instrument of the file: name of its default kind of target, height [m], kinds of targets by name."""
+    """Polar instrument in an LGC file: name of its default kind of target, height [m], kinds of target by name."""
 
     default_target: str
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
     def add_target(self, line_words: LineWords) -> str:
-        """Addition of the kind of target that a line declares; the result is a note on an unused distance correction.
+        """Addition of the kind of target that a line declares; the result is a note for the user.
 
-        The note is '' if the line has no such correction. Raises RecordError.
+        The note says that a distance correction is not applied; it is '' without such a correction. Raises RecordError.
         """
         fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
         name = line_words.first_words(5, f"a target needs {fields}")[0]
@@ -268,7 +272,7 @@ class PolarInstrument:
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:
-        """Noise with the standard deviations of the default kind of target, or of the first kind that is declared."""
+        """Noise from the standard deviations of the default kind of target, or else of the first declared kind."""
         sigmas = self.targets.get(self.default_target) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()

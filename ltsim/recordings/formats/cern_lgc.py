@@ -1,14 +1,14 @@
 """Format: input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
 The reader supports points (``*CALA``, ``*POIN``, ``*VXY`` and similar, ``*PDOR``), observed coordinates (``*OBSXYZ``),
-polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
-``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. It skips other
-observations, and those in separate frames (``*FRAME``), and names them in a note. Angles are clockwise, in gon;
-coordinates and distances are in metres.
+polar instruments with the standard deviations for their targets, set-ups (``*TSTN``, ``*V0``), observations
+(``*PLR3D``, ``*ANGL``, ``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``), and lines switched off with ``%``.
+Other observations, and those in separate frames (``*FRAME``), are skipped and reported in a note. Angles are clockwise,
+in gon; coordinates and distances are in metres.
 
-In a curved reference system (``*RS2K`` and others) the third coordinate is a height. It is converted to the z
-coordinate over a tangent plane in the middle of the network, and each levelled set-up has the direction of the plumb
-line at its position.
+In a curved reference system (``*RS2K`` and others) the third coordinate is a height. The reader converts it to the z
+coordinate over a plane that is tangent in the middle of the network. Each levelled set-up gets the direction of the
+plumb line at its position.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "DIST": ("distance",),
     "DHOR": ("distance",),
 }
-"""Observables in a line, by the keyword of its section (such as ``*PLR3D``)."""
+"""Observables in a line of observations, by the keyword of its section, such as ``*PLR3D``."""
 CURVED_REFERENCE_KEYWORDS = ("RS2K", "LEP", "SPHE")
-"""Keywords of reference systems whose third coordinate is a height above a curved surface."""
+"""Keywords of reference systems in which the third coordinate is a height above a curved surface."""
 KEYWORDS_WITHOUT_OBSERVATIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
-"""Keywords of sections that contain no observations and are skipped without a note."""
+"""Keywords of sections without observations, which are skipped without a note."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class _SetUp:
 
 @dataclass
 class _LgcContent:
-    """Content of an LGC file, to which its reader adds line by line."""
+    """Content of an LGC file, which the reader completes line by line."""
 
     path: Path
     title_words: list[str] = field(default_factory=list)
@@ -91,7 +91,7 @@ class _LgcContent:
     points_observed_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation_points: dict[str, None] = field(default_factory=dict)
-    """Names of the points that orient the frame (*PDOR), in the order of the file."""
+    """Names, in the order of the file, of the points that orient the frame (``*PDOR``)."""
     instruments: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
     n_setups_by_point: Counter[str] = field(default_factory=Counter)
@@ -102,11 +102,11 @@ class _LgcContent:
 
     @property
     def station(self) -> str:
-        """Name of the set-up that was declared last; '' before the first one."""
+        """Name of the latest set-up; '' before the first one."""
         return next(reversed(self.setups), "")
 
     def add_setup(self, setup: _SetUp) -> None:
-        """Addition of a set-up; a repeated set-up on a point gets a number."""
+        """Addition of a set-up; a further set-up over one point gets a number."""
         self.setups[name_with_number(setup.point, self.n_setups_by_point[setup.point])] = setup
         self.n_setups_by_point[setup.point] += 1
 
@@ -181,7 +181,7 @@ def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
     instrument = "".join(line_words.tokens[1:2])
     if instrument not in lgc.instruments:
         given = safe_excerpt(instrument) or "nothing"
-        raise line_words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
+        raise line_words.location.error(f"*TSTN names {given}, expected an instrument that *POLAR declares")
     point = line_words.location.name(line_words.tokens[0], "station")
     if point not in lgc.points:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
@@ -192,10 +192,9 @@ def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
 
 
 def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
-    """Start of a set of directions (``*V0``), all with the same orientation of the circle.
+    """Start of a set of directions (``*V0``) with a common orientation of the horizontal circle.
 
-    The first set after ``*TSTN`` belongs to the set-up that this line declares; each further set adds another set-up
-    over the same point.
+    The first set after ``*TSTN`` belongs to the set-up of that line. Each further set adds a set-up over this point.
     """
     if not lgc.setups:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
@@ -210,7 +209,7 @@ def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
 
 
 def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool:
-    """Addition of the content of a line to `lgc`; False if the section of the line (`keyword`) is not supported."""
+    """Addition of the content of a line to `lgc`; False if its section (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
         lgc.title_words += line_words.tokens
     elif keyword in FIXED_AXES_BY_KEYWORD:
@@ -260,9 +259,9 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
 
 
 def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
-    """Distance [m], counter-clockwise azimuth [rad] or elevation [rad] (`kind`) from a `value` in the file.
+    """Distance [m], counter-clockwise azimuth [rad] or elevation [rad], as `kind` says, from a `value` in the file.
 
-    Raises RecordError for a zenith angle beyond 200 gon, or a distance that is not above 0.
+    Raises RecordError for a zenith angle beyond 200 gon and for a distance that is not above 0.
     """
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.direction_constant, 2 * np.pi))
@@ -317,7 +316,7 @@ def _make_recording(lgc: _LgcContent) -> Recording:
 
 
 def _add_observed_coordinates(lgc: _LgcContent) -> None:
-    """Addition of the observations of ``*OBSXYZ`` to the points that are not fixed; raises RecordError."""
+    """Addition of the observations in ``*OBSXYZ`` sections to the points, except fixed ones; raises RecordError."""
     for name, point, covariance in lgc.observed_points:
         if name not in lgc.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=lgc.path)
@@ -329,9 +328,9 @@ def _add_observed_coordinates(lgc: _LgcContent) -> None:
 
 @dataclass(frozen=True)
 class _TangentPlane:
-    """Plane that touches the reference surface of heights at plan coordinates `centre` (2,) [m].
+    """Horizontal plane at the plan coordinates `centre` (2,) [m], tangent to the reference surface of heights there.
 
-    If the reference surface is not curved (`is_curved` is False), the plane is horizontal.
+    `is_curved` is False if the reference surface is a plane.
     """
 
     centre: Floats
@@ -339,7 +338,7 @@ class _TangentPlane:
 
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
-        """Plane at the median of the points with known plan coordinates; `earth_model` is '' for a plane reference."""
+        """Tangent plane at the median of points with known plan coordinates; `earth_model` is '' without curvature."""
         plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
         return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
@@ -350,7 +349,7 @@ class _TangentPlane:
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def station_settings(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys and values in `setup.toml` of the set-up over a point: position, levelling, plumb line."""
+        """Keys and values in `setup.toml` for a set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
         )
@@ -362,7 +361,7 @@ class _TangentPlane:
         return keys
 
     def target_settings(self, point: DeclaredPoint) -> dict[str, Any]:
-        """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
+        """Keys and values in `setup.toml` for a target: coordinates known along some axes, approximate along others."""
         axes = point.known_axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
@@ -379,7 +378,7 @@ def _notes(lgc: _LgcContent) -> Iterator[str]:
         yield f"{lgc.n_switched_off_lines} lines are switched off with % and are not used"
     for keyword, count in lgc.n_skipped_by_keyword.items():
         axes_reason = (
-            f"observes coordinates in a system whose third axis is no height (*{lgc.curved_reference_keyword})"
+            f"contains coordinates of a system whose third axis is not a height (*{lgc.curved_reference_keyword})"
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"

@@ -2,12 +2,12 @@
 
 The reader supports directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument
 and target, and points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions
-becomes a separate set-up over the same point; azimuths become a set-up of known orientation. A distance between two
-points without other measurements becomes a reference length; height differences and vectors become reference
-differences between survey marks. A file without pointings is not a recording.
+becomes a separate set-up over one point; azimuths become a set-up of known orientation. A distance between two points
+without other measurements becomes a reference length; height differences and vectors become known vectors between
+survey marks. A file without pointings is not a recording.
 
-Gama's instruments are levelled exactly, and its angles are clockwise unless the file declares otherwise. In a left-
-handed system of axes the sign of y is changed, which a note reports.
+Gama's instruments are levelled exactly; its angles are clockwise unless the file declares otherwise. In a left-handed
+system of axes the sign of y is changed, which a note reports.
 """
 
 import re
@@ -44,25 +44,25 @@ from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, Len
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
-"""Directions of x and y that form a left-handed frame, in which the sign of y is changed."""
+"""Directions of the x and y axes that form a left-handed system, for which the sign of y is changed."""
 UNMIRRORED_AXES = ("en", "nw", "se", "ws")
-"""Directions of x and y that form a right-handed frame."""
+"""Directions of the x and y axes that form a right-handed system."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-"""Size of the unit cc, 1e-4 gon [rad]."""
+"""Size [rad] of the unit cc, which is 1e-4 gon."""
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
-"""Beginning of the name of the attribute with the default standard deviation (``direction`` of ``direction-stdev``), by
-the XML element of an observation."""
+"""Beginning of the attribute of the default sigma (``direction`` of ``direction-stdev``), by element of an observation.
+"""
 POINT_NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
-"""Attributes of elements that name a point."""
+"""XML attributes that contain the name of a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
 """Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
 observation by one standard deviation of each shared error, by name of the error [mm, cc]."""
 IGNORED_POINT_CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
-"""Note to the user on correlations in ``<coordinates>``."""
+"""Note for the user on ignored correlations in ``<coordinates>``."""
 IGNORED_DIFFERENCE_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
-"""Note to the user on correlations in ``<height-differences>`` and ``<vectors>``."""
+"""Note for the user on ignored correlations in ``<height-differences>`` and ``<vectors>``."""
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 """Pattern of an angle as degrees-minutes-seconds."""
 
@@ -101,7 +101,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
-    """Replacement, in place, of `/` in names of points by `_`; names that are refused in any case are not changed."""
+    """Replacement, in place, of `/` in names of points by `_`, except in names that are refused in any case."""
     attributes = [(node, key) for node in root.element.iter() for key in POINT_NAME_ATTRIBUTES if key in node.attrib]
     used_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
@@ -133,12 +133,12 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the element ``<parameters>`` to `network`: its a-priori sigma, and notes on unused parameters."""
+    """Addition of the content of ``<parameters>`` to `network`: a-priori sigma, and notes on unused parameters."""
     network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
         apriori_sigma = safe_excerpt(node.get("sigma-apr"))
         network.notes.append(
-            f"sigma-apr is {apriori_sigma}: the sigma0 that Gama reports is {apriori_sigma} times that of ltsim"
+            f"sigma-apr is {apriori_sigma}: Gama reports a sigma0 that is {apriori_sigma} times the one of ltsim"
         )
     if "latitude" in node or "ellipsoid" in node:
         network.notes.append("latitude and ellipsoid are not used: observations are not reduced to an ellipsoid")
@@ -160,9 +160,9 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
-    """Point that an XML element declares, added to `network`: known along fixed axes, approximate along the others.
+    """Point that an XML element declares, also added to `network`: known along fixed axes, approximate along others.
 
-    Capital letters in the attribute ``adj`` are axes along which the point defines the datum.
+    Capital letters in the attribute ``adj`` are the axes along which the point defines the datum.
     """
     name = node.name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
@@ -181,12 +181,12 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
 
 
 def _named_axes(letters: str) -> str:
-    """Axes, among x, y and z in this order, whose letters a text contains in either case."""
+    """Axes among x, y and z, in this order, whose letters (small or capital) are in a text."""
     return "".join(axis for axis in "xyz" if axis in letters.lower())
 
 
 def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the observed coordinates in an element, with covariance; correlations between points are ignored."""
+    """Addition of observed coordinates and their covariance to `network`; correlations between points are ignored."""
     row, column, numbers = covariance_entries(node)
     sign, next_row = np.array([1.0, network.y_sign, 1.0]), 0
     for child in [child for child in node if child.tag == "point"]:
@@ -270,7 +270,7 @@ def _parse_observation(
 
 
 def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork) -> None:
-    """Addition of an angle as two directions of a separate set-up, each with its sigma over the square root of 2."""
+    """Addition of an angle as two directions of a separate set-up, each with the sigma of the angle over sqrt(2)."""
     station = network.station(_standpoint(child, block), with_directions=True)
     value, second = _parse_angle(child)
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
@@ -287,8 +287,8 @@ def _si_sigma_and_shared_errors(
 ) -> tuple[float, dict[str, float]]:
     """Standard deviation [m, rad] of the independent error of an observation, and changes [m, rad] by shared errors.
 
-    `sigma_and_errors` holds both in the unit of the file, and `unit` converts them to SI; a negative `unit` reverses
-    the sense of an angle. If the file gives none, its default and the `distance` [m] determine the standard deviation.
+    `sigma_and_errors` are these numbers in file units, which `unit` converts to SI (negative: reversed sense of an
+    angle). NaN as standard deviation is replaced by the file's default for the `distance` [m].
     """
     sigma, shared = sigma_and_errors
     independent = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)
@@ -305,9 +305,10 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
 
 
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
-    """Standard deviation [mm, cc] of an observation, from its attribute or the default of the file.
+    """Standard deviation [mm, cc] of an observation, from its attribute or from the default of the file.
 
-    Both are ``a``, or ``a b c`` for a + b D^c with the distance D in km; `distance` is in m. Raises RecordError.
+    It is written as ``a``, or as ``a b c`` for a + b D^c with the distance D in km. `distance` is in m. Raises
+    RecordError.
     """
     kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
     words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
@@ -384,7 +385,7 @@ def _make_target(point: GamaPoint, height: float) -> Target:
 
 
 def _noise(network: GamaNetwork) -> Noise:
-    """Noise with the default standard deviations of the file; single observations have theirs in columns."""
+    """Noise with the default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, fallback: float) -> float:
         words = network.default_sigmas.get(kind, "").split()

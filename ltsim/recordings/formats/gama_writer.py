@@ -1,4 +1,4 @@
-"""Export of levelled networks to GNU Gama (``gama-local``), to compare its adjustment with that of ltsim."""
+"""Export of levelled networks as input files of GNU Gama (``gama-local``), to compare both adjustments."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,14 +24,14 @@ GAMA_XML_NAMESPACE = "http://www.gnu.org/software/gama/gama-local"
 def write(recording: Recording, path: Path) -> None:
     """Export as input file of gama-local: levelled set-ups, face 2 reduced to face 1, reference lengths as distances.
 
-    If no target has known coordinates or belongs to the datum, the targets that the first set-up measured get
-    coordinates in its frame and define the datum.
+    If no target has known coordinates or defines the datum, the targets of the first set-up get coordinates in its
+    frame and define the datum.
 
-    Raises RecordError for a set-up that is not levelled and for SMRs of several radii, which gama-local does not
+    Raises RecordError for a set-up that is not levelled and for SMRs of different radii, which gama-local does not
     support.
     """
     if excess_radii(recording) is not None:
-        message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
+        message = "the recording has SMRs of different radii, which gama-local does not support"
         raise RecordError(f"{message}; write the recording in the native format", file=path)
     if any(SHARED_ERROR_COLUMN_PATTERN.fullmatch(name) for name in recording.covariates):
         raise RecordError("contains errors that readings share, which only the native format supports", file=path)
@@ -58,7 +58,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _point_under_station(recording: Recording, station: str) -> str:
-    """Name of the point under a station: the target over which it stands, or a separate point with its name."""
+    """Name of the point under a station: the target over which it stands, or else a point with the station's name."""
     mark = recording.station_setup(station).over
     if mark is not None:
         return mark
@@ -66,7 +66,7 @@ def _point_under_station(recording: Recording, station: str) -> str:
 
 
 def _point_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the points of a gama-local file.
+    """XML elements of the points for a gama-local file.
 
     A point is fixed, adjusted, or adjusted with observed coordinates that have a covariance matrix. Points with capital
     letters (``adj="XYZ"``) define the datum.
@@ -97,7 +97,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
 
 
 def _coordinate_attributes(coordinates: Vector, axes: str = "xyz") -> str:
-    """XML attributes with the `coordinates` x, y, z [mm] in metres, along `axes` only."""
+    """XML attributes with the coordinates x, y, z in metres, from `coordinates` [mm]; only those along `axes`."""
     axes_and_values = zip("xyz", coordinates, strict=True)
     return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in axes_and_values if axis in axes)
 
@@ -115,7 +115,7 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 
 def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
-    """Coordinates [mm] in the frame of the first set-up, by name of each target it measured with all three readings."""
+    """Coordinates [mm], by name, of the targets that the first set-up measured completely, in its frame."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in complete_rows}
@@ -143,7 +143,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 
 def _length_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the reference lengths, at their temperature during the recording."""
+    """XML elements of the reference lengths at their temperature during the recording."""
     lengths = ReferenceLengths.from_recording(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
     for first, second, length, sigma in zip(*ends, lengths.lengths.tolist(), lengths.sigma.tolist(), strict=True):
@@ -153,9 +153,9 @@ def _length_lines(recording: Recording) -> Iterator[str]:
 
 
 def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
-    """XML elements of the reference differences: height differences, and vectors with their covariance.
+    """XML elements of known vectors between marks: height differences, and vectors with their covariance.
 
-    Raises RecordError, which names `path`, for a difference along other axes than z or xyz.
+    Raises RecordError, which names `path`, for a vector known along other axes than z or xyz.
     """
     for difference in recording.setup.differences:
         ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"

@@ -1,9 +1,9 @@
-"""Format: OpenIndy projects (``oiProjectData`` XML), readings of trackers in radians and metres.
+"""Format: OpenIndy projects (``oiProjectData`` XML), with readings of trackers in radians and metres.
 
 The reader uses polar, direction, distance and cartesian readings. All observations of a point geometry belong to one
-target. Observations of planes, spheres and other geometries are different points, so that each is a separate target.
-OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle determines the
-face.
+target. Each observation of a plane, sphere or other geometry is a different point and becomes a separate target.
+OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle shows the face of
+the measurement.
 """
 
 from collections import Counter
@@ -32,9 +32,9 @@ REQUIRED_QUANTITIES_BY_READING_TYPE = {
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
-"""Measured quantities that a reading must have, by supported type of reading."""
+"""Quantities that a reading must contain, by type of reading."""
 SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
-"""Column of the recording with the standard deviation, by measured quantity."""
+"""Column of the recording for the standard deviation of each measured quantity."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -45,7 +45,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from an OpenIndy project.
 
-    Raises RecordError for XML that is malformed or unsafe, or a reading that lacks a measurement.
+    Raises RecordError for malformed or unsafe XML, and for a reading without a required quantity.
     """
     root = parse_xml(path)
     if root.tag != ROOT_ELEMENT:
@@ -57,7 +57,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     readings = [_parse_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
-        raise RecordError("holds no readings", file=path)
+        raise RecordError("contains no readings", file=path)
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
@@ -115,7 +115,7 @@ def _parse_pointing(
 def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float, float]:
     """Range [m], azimuth [rad] and raw elevation [rad] of a reading; NaN if not measured.
 
-    `values_by_observable` holds ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
+    `values_by_observable` contains ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
     """
     if "x" in values_by_observable:
         d, a, e = to_polar(
@@ -145,9 +145,9 @@ def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
 
 
 def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
-    """Name of the target of an observation: the name of the point it measured, or a separate name on other geometries.
+    """Name of the target of an observation: name of the point geometry, or a separate name on any other geometry.
 
-    `geometries` are the elements of geometries by id.
+    `geometries` are the XML elements of geometries by their id.
     """
     geometries_of_node = [
         geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries

@@ -1,8 +1,8 @@
 """Format: plain polar text, ``station target horizontal vertical distance``, one pointing per line.
 
-Blanks, tabs or commas separate the columns; numbers have a decimal point or comma; readings are raw, on one or two
-faces. A line with four columns has no station. Lines that begin with ``#`` are comments; the reader uses the comments
-``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical: zenith``.
+Columns are separated by blanks, tabs or commas; numbers have a decimal point or comma. Readings are raw, in one or two
+faces. A line with four columns has no station. Lines that begin with ``#`` are comments; the reader interprets the
+comments ``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical: zenith``.
 """
 
 import re
@@ -33,11 +33,11 @@ _CONVENTION_COMMENT_PATTERN = re.compile(
 )
 """Pattern of a comment that declares units, the sense of the azimuth, or the kind of vertical angle."""
 _POLAR_COMMENT_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
-"""Pattern of a comment on polar data, by which the format is recognised."""
+"""Pattern of a comment that mentions polar data, by which the format is recognised."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if each of the first lines has two names (or, after a comment on polar data, one name) and three numbers."""
+    """True if each of the first lines has two names and three numbers, or one name after a comment on polar data."""
     data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
     field_counts = (4, 5) if _POLAR_COMMENT_PATTERN.search(file_beginning) else (5,)
@@ -45,9 +45,9 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording from a file of plain polar text.
+    """Recording from plain polar text.
 
-    Raises RecordError for a malformed line, or for a convention that the data do not decide.
+    Raises RecordError for a malformed line, and if the data do not decide a convention, such as the unit of angles.
     """
     return tables.read(
         path, _hints_from_comments(read_lines(path, replaces_undecodable=True), hints, path), positional=True
@@ -55,6 +55,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
+    """Hints of the user, completed by the conventions that comments of the file declare; raises RecordError."""
     for line in islice(lines, 50):
         match = _CONVENTION_COMMENT_PATTERN.fullmatch(line)
         if match is None:

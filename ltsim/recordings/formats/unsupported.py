@@ -1,4 +1,4 @@
-"""Formats that are recognised but not read, and what to export instead."""
+"""Formats that are recognised but cannot be read, with advice on what to export instead."""
 
 import re
 from dataclasses import dataclass
@@ -6,18 +6,18 @@ from dataclasses import dataclass
 FIELD_BOOK_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
-"""Advice to a user whose file is a field book of a total station in an unsupported format."""
+"""Advice for a field book of a total station in an unsupported format."""
 ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Advice to a user whose file comes from a numerical program, such as MATLAB."""
+"""Advice for a file of a numerical program, such as MATLAB."""
 DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
-"""Advice to a user whose file is the database in which a metrology program stores its jobs."""
+"""Advice for the database in which a metrology program stores its jobs."""
 WORKBOOKS_ADVICE = "save it as xlsx or CSV"
-"""Advice to a user whose file is a workbook in an unsupported format."""
+"""Advice for a workbook in an unsupported format."""
 
 
 @dataclass(frozen=True)
 class UnsupportedFormat:
-    """Format that is recognised by a pattern of its first characters, with advice on what to export instead."""
+    """Format that cannot be read: name, pattern of the beginning of its files, advice on what to export instead."""
 
     name: str
     pattern: re.Pattern[str]
@@ -25,10 +25,11 @@ class UnsupportedFormat:
 
 
 _XML_PROLOGUE = r"\s*+(?:<\?xml[^>]*+>\s*+)?+(?:(?><!--.*?-->)\s*+)*+"
-"""Pattern of what may precede the root element of an XML file: a declaration and comments."""
+"""Pattern of the text before the root element of an XML file: declaration and comments."""
 
 
 def _make_format(name: str, pattern: str, export_advice: str = FIELD_BOOK_ADVICE) -> UnsupportedFormat:
+    """Unsupported format whose files begin with the regular expression `pattern`."""
     return UnsupportedFormat(name, re.compile(pattern, re.DOTALL), export_advice)
 
 
@@ -60,6 +61,5 @@ UNSUPPORTED_FORMATS = (
     _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS_ADVICE),
     _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS_ADVICE),
 )
-"""Formats that are not read, in the order in which they are tried. Their patterns look at each character of a file's
-beginning a bounded number of times.
-"""
+"""Formats that cannot be read, in the order in which a file is tested for them. Their patterns need a time proportional
+to the length of the tested text."""
