@@ -231,7 +231,7 @@ def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("SX 0 SZ 2", "BEAR 10 SX 1", "axes of standard deviations are rotated (BEAR), which is"),
+        ("SX 0 SZ 2", "BEAR 10 SX 1", "which is not supported; use APRICOV"),
         ("MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)", "DIAG(1,2)", "expected DIAG"),
         ("MAT(4e-6,1e-6,0", "MAT(4e-6,2e-6,0", "expected DIAG"),
         ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 2", "three standard deviations"),
