@@ -1,10 +1,10 @@
-"""Conventions of a table: units, zenith angle or elevation, sense of the circle, coordinates in place of readings.
+"""Conventions of a table: units, zenith angle or elevation, sense of the horizontal circle, coordinates or readings.
 
-The header decides if it is explicit; otherwise the data decide (`ltsim.recordings.conventions`), or an error asks the
-user for a hint. Data without known positions cannot decide the sense of the circle, because the mirror image of a
-network fits equally well. The titles then decide it: `Hz` and `HA` are the horizontal circle of a theodolite,
-clockwise; azimuth and elevation are the spherical coordinates of a tracker, counter-clockwise. An azimuth with a zenith
-angle can be either and needs a hint.
+An explicit header decides. Otherwise the data decide (`ltsim.recordings.conventions`), or an error asks the user for a
+hint. Without known positions, data cannot decide the sense of the circle, because the mirror image of a network fits
+equally well. Then the titles decide: `Hz` and `HA` denote the horizontal circle of a theodolite, which is clockwise.
+Azimuth and elevation denote the spherical coordinates of a tracker, which are counter-clockwise. Azimuth with a zenith
+angle is ambiguous and needs a hint.
 """
 
 from collections.abc import Mapping
@@ -56,31 +56,32 @@ from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360
-"""Full circle [deg]."""
+"""Full circle in degrees."""
 QUARTER_CIRCLE_DEG = 90
-"""Quarter circle [deg]."""
+"""Quarter of a circle in degrees."""
 MEDIAN_HEIGHT_RANGE_IN_METRES = (0.2, 3.0)
-"""Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
-table is in metres."""
+"""Smallest and largest median of the heights above survey marks, as numbers without unit, for which the lengths of the
+table are in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
-"""Unit, smallest and largest plausible height above a survey mark in this unit; no such number fits both units."""
+"""Unit, and smallest and largest plausible height above a survey mark in this unit; a number can fit only one unit."""
 MAX_AMBIGUOUS_DISTANCE_MM = 1000.0
-"""Number below which the longest distance of a table without unit may be in metres or millimetres: a hint is needed."""
+"""Number below which the longest distance of a table without unit may be in metres or millimetres, so that a hint is
+needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
-"""Median distance [m] between the points that two set-ups give for a common target, below which the coordinates count
-as transformed into one frame."""
+"""Median distance [m] between the coordinates of a target from two set-ups, below which the coordinates are already in
+one common frame."""
 COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "is that of single readings in both faces"
 )
-"""Note to the user on a table of coordinates in place of readings."""
+"""Note for the user on a table with coordinates in place of readings."""
 
 
 @dataclass(frozen=True)
 class ColumnInterpretation:
-    """Units of directions, vertical angles and lengths in a table, kind of vertical angle, sense of the azimuth.
+    """Conventions of a table: units of directions, vertical angles and lengths, kind of vertical angle, azimuth sense.
 
-    `notes` reports to the user how each was decided.
+    `notes` are sentences for the user on how each convention was decided.
     """
 
     horizontal_unit: str
@@ -91,7 +92,7 @@ class ColumnInterpretation:
     notes: tuple[str, ...] = ()
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
-        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted without rounding."""
+        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted exactly."""
         clockwise, zenith = self.azimuth_sense == "clockwise", self.vertical_kind == "zenith"
 
         def azimuth(reading: Any, units_per_degree: Any) -> Any:
@@ -113,10 +114,10 @@ class ColumnInterpretation:
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str, column_values: Floats) -> str:
-        """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
+        """Unit of a column of standard deviations or heights that declares none, normally the unit of the readings.
 
-        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres
-        instead, if the unit of the readings makes them implausible.
+        `role` is the role of the column, `column_values` (n,) are its n numbers. Heights are in millimetres or metres
+        instead, if they are implausible in the unit of the readings.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
@@ -132,11 +133,10 @@ class ColumnInterpretation:
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of the numbers in a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
+    """Conventions of a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
 
-    Rough `poses` of stations, by index of the station in the table, can decide the sense of the circle.
-
-    Raises RecordError with the option to type if neither the header nor the data decide.
+    `poses` are approximate poses by index of the station; they can decide the sense of the circle. Raises RecordError,
+    with the option to type, if neither header nor data decide.
     """
     if table.has_coordinates:
         return _readings_from_coordinates(table, hints, file)
@@ -162,7 +162,7 @@ def interpret_readings(
 
 
 def _missing_readings_notes(table: PointingTable) -> list[str]:
-    """Notes that the table lacks vertical angles or distances, if unrecognised columns have a unit of these."""
+    """Notes that the table lacks vertical angles or distances, although columns with unknown titles have such units."""
     notes = []
     for kind, name, units in (
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
@@ -179,7 +179,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
 
 
 def _unit_in_title(column: TableColumn) -> str:
-    """Unit in the title of a column, in brackets or after an underscore; '' for none."""
+    """Unit in a column's title, in brackets or after an underscore; '' for none."""
     return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
 
 
@@ -192,8 +192,8 @@ def _angle_conventions(
 ) -> tuple[tuple[str, str], VerticalKind, list[str]]:
     """Units of directions and of vertical angles, kind of vertical angle, and notes; raises RecordError.
 
-    `columns` are the columns, and `unit_by_column` their units, by kind of reading; a unit that the header does not
-    declare is ''. `polar` are the readings in the units of the table.
+    `columns` are the columns by kind of reading, and `unit_by_column` their units ('' if not declared). `polar` are the
+    readings in the units of the table.
     """
     column = columns["vertical"]
     role = column.role if column is not None else ""
@@ -224,7 +224,7 @@ def _angle_conventions(
 def _length_convention(
     declared_unit: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
 ) -> tuple[str, list[str]]:
-    """Unit of the distances, and notes on it: as declared, from a hint, from their size, or from heights in the table.
+    """Unit of the distances, and notes about it: as declared, from a hint, from their size, or from heights.
 
     Raises RecordError if none of these decides.
     """
@@ -259,7 +259,7 @@ def _azimuth_sense(
     hints: Hints,
     file: Path,
 ) -> tuple[AzimuthSense, list[str]]:
-    """Sense of the circle, and notes on it: from a hint, from known positions, or from the titles of the header.
+    """Sense of the horizontal circle, and notes about it: from a hint, from known positions, or from titles.
 
     Raises RecordError if none of these decides.
     """
@@ -291,9 +291,9 @@ def _azimuth_sense(
 
 
 def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of a table of n measured points, and corresponding readings (n, 3) [m, rad, rad] on face 1.
+    """Conventions of a table of n measured points, and readings (n, 3) [m, rad, rad] in face 1 computed from them.
 
-    Raises RecordError if a coordinate is missing, or if the coordinates of several set-ups are in one frame.
+    Raises RecordError for a missing coordinate, and if coordinates from several set-ups are in one frame.
     """
     coordinates = np.stack(
         [to_floats(table.pointings.digit_texts_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1
@@ -320,9 +320,9 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
 
 def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -> None:
-    """Check that n points (n, 3) [m] of several set-ups were not transformed into one frame; raises RecordError.
+    """Check that `points` (n, 3) [m] from several set-ups were not transformed into one frame; raises RecordError.
 
-    Coordinates in one frame contain no information on the network.
+    Such coordinates contain no information on the relation of the stations.
     """
     first_point: dict[str, tuple[str, Floats]] = {}
     distances = []
@@ -332,17 +332,17 @@ def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -
             distances.append(float(np.linalg.norm(point - place)))
     if len(distances) > 2 and float(np.median(distances)) < MAX_COMMON_FRAME_DIFFERENCE_M:
         message = (
-            f"{len(distances)} targets have the same coordinates from several set-ups: they are already in one frame; "
+            f"{len(distances)} targets have equal coordinates from several set-ups, which are thus in one frame; "
             "export them in the axes of each instrument"
         )
         raise RecordError(message, file=file)
 
 
 def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of n ranges, azimuths and elevations by column name, from those of x, y, z.
+    """Standard deviations (n,) of n ranges, azimuths and elevations, by column name, from those of x, y, z.
 
-    `readings` (n, 3) are the corresponding readings [m, rad, rad]; `length` is the unit of columns that declare none.
-    The result is empty if the table has no coordinates or no standard deviations.
+    `readings` (n, 3) are the readings [m, rad, rad] computed from the coordinates. `length` is the unit of columns that
+    declare none. The result is empty without coordinates or without standard deviations.
     """
     columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]

@@ -1,4 +1,4 @@
-"""Reader of recordings from delimited text, a folder of such files, or a workbook."""
+"""Reader of recordings from a file of delimited text, a folder of such files, or a workbook."""
 
 import os
 from pathlib import Path
@@ -50,11 +50,11 @@ MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists."""
 HEAD_HEIGHT_SIGMA_MM = 1.0
 """Assumed standard deviation [mm] of the height of a tracker head above its survey mark, for tables whose heights are
-not applied."""
+not applied because the readings refer to the heads."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
+    """True for a folder of tables, a workbook, and text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
     if file_beginning.startswith(ZIP_SIGNATURE.decode("latin-1")):
@@ -74,7 +74,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Recording from a table, a folder of tables or a workbook.
 
-    With `positional`, lines of names and three numbers are also read without a header. Raises RecordError.
+    With `positional`, a table without header may also have lines with names and three numbers. Raises RecordError.
     """
     pointing_table = read_pointing_table(read_sheets(path), hints, path, positional=positional)
     table = with_placeholder_target_name(with_unpacked_angles(with_time_column(pointing_table), hints), hints, path)
@@ -107,7 +107,7 @@ def assemble_recording(
 ) -> Recording:
     """Recording from a table of n pointings and their readings (n, 3) [m, rad, rad], in the order of the table.
 
-    `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
+    `interpretation` are the units and conventions. `setup` is the prior knowledge, which the table completes.
     """
     pointings, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
@@ -166,7 +166,7 @@ def assemble_recording(
 
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both mappings by column; in a common column `default_labels` replace the empty `priority_labels`."""
+    """Labels of both dictionaries by column; `default_labels` fill the empty entries of `priority_labels`."""
     merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
@@ -177,13 +177,13 @@ def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[s
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
-    """Path of the `setup.toml` of a table: that in the hints, otherwise in the folder of the table."""
+    """Path of the `setup.toml` for a table: in the hints, otherwise in the folder of the table."""
     file = hints.setup or (path if path.is_dir() else path.parent) / SETUP_FILE
     return file / SETUP_FILE if file.is_dir() else file
 
 
 def _read_setup(path: Path, hints: Hints) -> Setup | None:
-    """Set-up from the `setup.toml` of a table; None if there is no such file."""
+    """Set-up from the `setup.toml` for a table; None if there is none."""
     file = _setup_path(path, hints)
     return read_setup(file) if hints.setup is not None or os.path.lexists(file) else None
 
@@ -191,8 +191,7 @@ def _read_setup(path: Path, hints: Hints) -> Setup | None:
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face (1 or 2) of each pointing, and notes.
 
-    `readings` (n, 3) [m, rad, rad] of n pointings are changed in place: face-2 readings that the file reduced to face 1
-    become raw readings again.
+    Readings (n, 3) [m, rad, rad] of face 2 that the file reduced to face 1 become raw readings again, in place.
     """
     beyond_zenith = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond_zenith.tolist(), strict=True)]
@@ -211,9 +210,9 @@ def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], 
 def _additional_columns(
     table: PointingTable, interpretation: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
-    """Covariates (additional columns of numbers) by name, labels (additional columns of texts) by name, and notes.
+    """Covariates (columns of numbers) by name, labels (columns of texts) by name, and notes.
 
-    Columns of standard deviations and heights get the names of the native format. If their titles have no unit, their
+    Columns of standard deviations and heights get the names of the native format. Without a unit in their titles, their
     numbers are in the unit of the readings.
     """
     columns = [c for c in table.columns if c.is_additional]
@@ -246,7 +245,7 @@ def _additional_columns(
 
 
 def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
-    """Reason, as the end of a note, for the `unit` that is assumed for a column without declared unit."""
+    """Reason, as the end of a note, why a column without declared unit has this `unit`."""
     of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
     return (
         " as the readings" if of_reading else f", because heights in {interpretation.length_unit} would be implausible"
@@ -256,9 +255,9 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 def _covariate_values(
     column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) in n cells of a column in the unit of its role, and unit of the cells; None for texts.
+    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None for texts.
 
-    A number is NaN for an empty cell.
+    The number of an empty cell is NaN.
     """
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
@@ -284,6 +283,7 @@ def _covariate_values(
 
 
 def _unread_lines_notes(table: PointingTable) -> list[str]:
+    """Notes on a table without station names, and on lines of the file that are not used."""
     notes = []
     if table.lacks_station_names:
         assumption = "the table names no station: all its pointings are assigned to one station, S1"
@@ -296,24 +296,23 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 
 
 MAX_TRACKER_RANGE_M = 160.0
-"""Range [m] above which a table is taken as one of a total station: data sheets of trackers give ranges of 80 to 160 m.
-"""
+"""Range [m] above which the readings are from a total station, because data sheets of trackers give 80 to 160 m."""
 MIN_TOTAL_STATION_DIGIT_M = 0.5e-4
-"""Smallest value [m] of the last digit of ranges at which a table is taken as one of a total station; trackers report
+"""Value [m] of the last digit of ranges from which on the readings are from a total station, because trackers give
 micrometres."""
 MIN_DISPLAYED_DIGIT_M = 0.5e-9
-"""Value [m] of the last digit of ranges below which the digits are taken as results of a computation, not of an
+"""Value [m] of the last digit of ranges below which the digits come from a computation, not from the display of an
 instrument."""
 
 MIN_RANGES_FOR_RESOLUTION = 6
-"""Number of ranges below which their last digits do not show the resolution of the instrument: fewer may all end in
-zeros by chance."""
+"""Smallest number of ranges whose last digits show the resolution of the instrument; fewer may end in zeros by chance.
+"""
 
 
 def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
     """Reason, as text, why a table is from a total station; empty if it may be from a laser tracker.
 
-    Heights above survey marks are not a sufficient reason, because trackers are also set up over marks.
+    Heights above survey marks are not sufficient, because trackers are set up over marks too.
     """
     if table.has_coordinates:
         return ""
