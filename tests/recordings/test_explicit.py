@@ -107,7 +107,7 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
         found.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
     )
     assert any("converted to distance, azimuth and elevation" in note for note in found.notes)
-    with pytest.raises(RecordError, match="already in one frame; export them in the axes of each instrument"):
+    with pytest.raises(RecordError, match="thus in one frame; export them in the axes of each instrument"):
         read(places(tmp_path / "b.csv", one_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
     list_ = file_of(tmp_path, "\n".join(rows) + "\n", "d.csv")

@@ -44,8 +44,8 @@ def test_empty_heights_that_no_row_gives_are_said(tmp_path: Path) -> None:
     rows = [list(row) for row in ROWS]
     rows[2][6] = rows[3][6] = rows[1][7] = ""
     recording = read_rows(tmp_path / "a.csv", rows)
-    assert "heights of instruments are empty in 2 rows (B); they are taken as 0" in said(recording)
-    assert "heights of targets are empty in 1 rows (P2); they are taken as 0" in said(recording)
+    assert "heights of instruments are missing in 2 rows (B) and are taken as 0" in said(recording)
+    assert "heights of targets are missing in 1 rows (P2) and are taken as 0" in said(recording)
 
 
 @pytest.mark.parametrize("mark", ["", "-", "---", "N/A", "\u2013"])
@@ -68,9 +68,7 @@ def test_words_for_faces(tmp_path: Path) -> None:
 
 
 def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        RecordError, match=r"the unit 'mil' of column 'Hz \[mil\]' is unknown; convert it to one of deg"
-    ):
+    with pytest.raises(RecordError, match=r"column 'Hz \[mil\]' has the unknown unit 'mil'; convert it to one of deg"):
         read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "mil"))
 
 

@@ -211,7 +211,7 @@ def test_heights_without_a_unit_are_plausible_ones(tmp_path: Path, distance: str
 def test_a_reading_with_an_unknown_unit_is_not_left_out(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("Station;Point;Hz [gon];V [%];SD [m]\nA;P;1.5;2.5;12.3\n")
-    with pytest.raises(RecordError, match=r"the unit '%' of column 'V \[%\]' is unknown; convert it to one of deg"):
+    with pytest.raises(RecordError, match=r"column 'V \[%\]' has the unknown unit '%'; convert it to one of deg"):
         read(file)
 
 
