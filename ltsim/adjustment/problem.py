@@ -76,7 +76,7 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
-        is_used = recording.is_usable if reading_mask is None else recording.is_usable & reading_mask
+        is_used = recording.is_usable_reading if reading_mask is None else recording.is_usable_reading & reading_mask
         gauge, control, levels = (
             GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),

@@ -36,9 +36,9 @@ class GaugeRows(ReferenceLengths):
     @cached_property
     def correlation_cholesky_factor(self) -> Floats | None:
         """Lower Cholesky factor (g, g) of the correlation matrix of g lengths; None for uncorrelated lengths."""
-        if not self.shared_error_changes:
+        if not self.shared_error_shifts:
             return None
-        shared_errors = np.array([*self.shared_error_changes.values()]) / self.sigma
+        shared_errors = np.array([*self.shared_error_shifts.values()]) / self.sigma
         correlation = shared_errors.T @ shared_errors
         np.fill_diagonal(correlation, 1.0)
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)

@@ -180,7 +180,7 @@ class UndeterminedUnknowns:
         )
         n_stations = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], n_stations) > 0 for i in range(3))
-        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
+        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal_distance)
         feels = np.bincount(recording.station, high, n_stations) > 0
         level, alone = (
             np.zeros(n_stations, dtype=bool),

@@ -24,7 +24,7 @@ from ltsim.scene.floor import (
     grid_over_area,
     height_range_text,
     is_allowed_position,
-    refusal_reason,
+    tripod_refusal_reason,
 )
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
@@ -172,7 +172,7 @@ class SearchSpace(ValueEquality):
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
+            if why := tripod_refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
         for s, t in np.argwhere(
             np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE

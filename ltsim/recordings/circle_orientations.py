@@ -12,23 +12,24 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 
-MIN_CIRCLE_RESET_ROTATION = 0.02
+MIN_DETECTED_CIRCLE_ROTATION = 0.02
 """Common rotation [rad] of all directions above which the user has rotated the horizontal circle; a disturbed tripod
 rotates by less."""
-MAX_DIRECTION_DIFFERENCE = 1e-3
+MAX_REPEATED_DIRECTION_DIFFERENCE = 1e-3
 """Difference [rad] below which two directions to one target count as equal; also used for two elevations."""
-MAX_DISTANCE_DIFFERENCE_M = 0.02
+MAX_REPEATED_DISTANCE_DIFFERENCE_M = 0.02
 """Difference [m] of two distances to one target above which the target has moved between the two pointings."""
-MIN_AGREEING_TARGETS = 3
+MIN_TARGETS_SHOWING_CIRCLE_ROTATION = 3
 """Number of repeatedly measured targets whose directions must change by the same angle to show that the circle was
 rotated."""
-MAX_CONTRADICTORY_FRACTION = 0.1
+MAX_CONTRADICTORY_POINTING_FRACTION = 0.1
 """Largest fraction of repeated pointings that may contradict the detected orientations, as outliers.
 
 If the fraction is larger, all pointings of the occupation are assigned to one orientation.
 """
-MAX_CONFIRMATION_ROWS = 100
-"""Number of rows after a suspected rotation of the circle in which `MIN_AGREEING_TARGETS` targets must confirm it."""
+MAX_ROWS_CONFIRMING_CIRCLE_ROTATION = 100
+"""Number of rows after a suspected rotation of the circle in which `MIN_TARGETS_SHOWING_CIRCLE_ROTATION` targets must
+confirm it."""
 
 
 def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
@@ -37,16 +38,18 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
     The arguments are the number of the occupation in each row (n,), the number of the sight (n,), and the readings (n,
     3): distance, azimuth and elevation [m, rad, rad]. Rows have equal sight numbers if they have the same occupation,
     target and face. The result is None if no circle was rotated during an occupation. An occupation in which too many
-    rows contradict each other (`MAX_CONTRADICTORY_FRACTION`) has one orientation.
+    rows contradict each other (`MAX_CONTRADICTORY_POINTING_FRACTION`) has one orientation.
     """
     _, first_row_of_sight, code = np.unique(sight_number, return_index=True, return_inverse=True)
     change = readings - readings[first_row_of_sight[code]]
     rotations_from_first = wrap_angle(change[:, 1])
-    is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
+    is_moved = (np.abs(change[:, 0]) > MAX_REPEATED_DISTANCE_DIFFERENCE_M) | (
+        np.abs(change[:, 2]) > MAX_REPEATED_DIRECTION_DIFFERENCE
+    )
     rotations_from_first[is_moved | (first_row_of_sight[code] == np.arange(len(sight_number)))] = (
         np.nan
     )  # new targets, and those that moved
-    turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_CIRCLE_RESET_ROTATION])
+    turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_DETECTED_CIRCLE_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
     for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
@@ -79,17 +82,19 @@ def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_f
             if not _is_equal_direction(circle_rotation, rotations[-1]):
                 if abs(
                     _wrap_scalar_angle(circle_rotation - rotations[-1])
-                ) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
+                ) > MIN_DETECTED_CIRCLE_ROTATION and _is_circle_rotation_confirmed(
                     row, first_row_of_same_target, rotations_from_first, circle_rotation, rotations, orientations
                 ):
                     rotations.append(circle_rotation)
                 else:
                     n_contradictory += 1
         orientations.append(len(rotations) - 1)
-    return orientations if n_contradictory <= MAX_CONTRADICTORY_FRACTION * n_repeated else [0] * len(orientations)
+    return (
+        orientations if n_contradictory <= MAX_CONTRADICTORY_POINTING_FRACTION * n_repeated else [0] * len(orientations)
+    )
 
 
-def _is_confirmed(
+def _is_circle_rotation_confirmed(
     row: int,
     first_row_of_same_target: list[int],
     rotations_from_first: list[float],
@@ -103,21 +108,21 @@ def _is_confirmed(
     rotation [rad] of each earlier orientation, `orientations` the number of the orientation in each earlier row.
     """
     agreeing = {first_row_of_same_target[row]}
-    for later in range(row + 1, min(row + MAX_CONFIRMATION_ROWS, len(first_row_of_same_target))):
+    for later in range(row + 1, min(row + MAX_ROWS_CONFIRMING_CIRCLE_ROTATION, len(first_row_of_same_target))):
         first = first_row_of_same_target[later]
         if first >= row or first in agreeing or math.isnan(rotations_from_first[later]):
             continue
         if not _is_equal_direction(rotations_from_first[later] + rotations[orientations[first]], circle_rotation):
             return False
         agreeing.add(first)
-        if len(agreeing) == MIN_AGREEING_TARGETS:
+        if len(agreeing) == MIN_TARGETS_SHOWING_CIRCLE_ROTATION:
             return True
     return False
 
 
 def _is_equal_direction(angle: float, other_angle: float) -> bool:
-    """True if two directions [rad] differ by less than `MAX_DIRECTION_DIFFERENCE`, apart from full circles."""
-    return abs(_wrap_scalar_angle(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
+    """True if two directions [rad] differ by less than `MAX_REPEATED_DIRECTION_DIFFERENCE`, apart from full circles."""
+    return abs(_wrap_scalar_angle(angle - other_angle)) < MAX_REPEATED_DIRECTION_DIFFERENCE
 
 
 def _wrap_scalar_angle(angle: float) -> float:

@@ -29,7 +29,7 @@ from ltsim.recordings.transcription_errors import (
     length_disagreement,
     most_shared_target_pairs,
     position_disagreement,
-    station_clouds,
+    target_points_by_station,
 )
 
 AngleUnit = Literal["deg", "gon", "rad"]
@@ -40,21 +40,21 @@ StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 AngleConvention = tuple[AngleUnit, VerticalKind]
 FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
-HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+POSSIBLE_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 """Units that the angles of a file may have; the data or the user's hint decide which."""
-VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
-MIN_SECOND_TO_BEST_RATIO = 10.0
+VERTICAL_ANGLE_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
+MIN_DECISIVE_CONVENTION_RATIO = 10.0
 """Smallest ratio with which the data decide between two conventions: of the misfits (second-best to best), or of the
 numbers of agreeing targets (best to second-best)."""
-MAX_MIRROR_MISFIT_TO_NETWORK_SIZE = 1e-3
+MAX_RELATIVE_MIRROR_MISFIT = 1e-3
 """Median distance of mirrored points from reference points, divided by the network's size, below which both fit."""
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists, and of reported warnings about mirror images."""
-MIN_TARGET_INTERVAL_S = 0.1
+MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1
 """Median time [s] from one target to the next below which the user is asked to check the unit of the time column."""
-MAX_TARGET_INTERVAL_S = 7200.0
+MAX_PLAUSIBLE_TARGET_INTERVAL_S = 7200.0
 """Median time [s] from one target to the next above which the user is asked to check the unit of the time column."""
-MIN_TARGET_CHANGES = 8
+MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
 """Number of changes from one target to another that a recording needs for the check of its time unit."""
 
 
@@ -65,7 +65,7 @@ class Hints:
     `angle` and `length` are units, `vertical` the kind of vertical angle, `azimuth` its sense. `points` is a file of
     coordinates (name, x, y, z) in a right-handed frame, which decides the sense of the azimuth. `station` names the
     set-up if the file contains no name. `columns` assigns the columns of a table (``target=Name,azimuth=Hz[gon]``).
-    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. `incomplete_tail`
+    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. `is_growing`
     permits a file that an instrument is still writing: its last row may be incomplete, and targets of reference lengths
     may not be measured yet.
     """
@@ -79,7 +79,7 @@ class Hints:
     columns: str | None = None
     setup: Path | None = None
     date: Literal["dmy", "mdy"] | None = None
-    incomplete_tail: bool = False
+    is_growing: bool = False
 
 
 NO_HINTS = Hints()
@@ -111,8 +111,8 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
-    angles = HINTED_ANGLE_UNITS if hints.angle is None else (hints.angle,)
-    verticals = VERTICAL_KINDS if hints.vertical is None else (hints.vertical,)
+    angles = POSSIBLE_ANGLE_UNITS if hints.angle is None else (hints.angle,)
+    verticals = VERTICAL_ANGLE_KINDS if hints.vertical is None else (hints.vertical,)
     candidates = [
         (a, v)
         for a in angles
@@ -154,7 +154,7 @@ def _is_possible_convention(
     return bool(np.nanmin(readings, initial=0) >= 0)
 
 
-def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
+def _repeated_pointing_row_pairs(polar: PolarReadings) -> tuple[Ints, Ints]:
     """Row indices of k pairs of successive pointings from one station to one target: earlier (k,), later (k,)."""
     order = np.lexsort((np.arange(len(polar.station)), polar.target, polar.station))
     first, next_ = order[:-1], order[1:]
@@ -164,7 +164,7 @@ def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
 
 def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind: VerticalKind) -> int:
     """Number of pairs of rows whose azimuths and vertical angles agree with one target measured in both faces."""
-    first, other = _same_target_rows(polar)
+    first, other = _repeated_pointing_row_pairs(polar)
     circle = FULL_CIRCLE_BY_UNIT[angle]
     sum_of_faces = circle if vertical_kind == "zenith" else circle / 2
     azimuth_misfit = np.abs(
@@ -180,11 +180,11 @@ def _convention_from_faces(
 ) -> tuple[AngleConvention, str] | None:
     """Convention among `candidates` with which most targets are measured in both faces, and this reason as text.
 
-    None unless `MIN_SECOND_TO_BEST_RATIO` times as many such targets agree as with any other candidate.
+    None unless `MIN_DECISIVE_CONVENTION_RATIO` times as many such targets agree as with any other candidate.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
-    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_SECOND_TO_BEST_RATIO > counts[best_index]:
+    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_DECISIVE_CONVENTION_RATIO > counts[best_index]:
         return None
     return candidates[best_index], f"the readings of {counts[best_index]} targets on both faces then agree"
 
@@ -200,7 +200,7 @@ def _convention_from_lengths(
     if not np.all(np.isfinite(misfits)):
         return None
     first, second = np.argsort(misfits)[:2]
-    if misfits[first] > 1e-2 or misfits[first] * MIN_SECOND_TO_BEST_RATIO > misfits[second]:
+    if misfits[first] > 1e-2 or misfits[first] * MIN_DECISIVE_CONVENTION_RATIO > misfits[second]:
         return None
     accuracy = 1 / max(misfits[first], 1e-9)
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
@@ -216,7 +216,7 @@ def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tupl
     raise RecordError(message, file=file)
 
 
-def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
+def distance_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
     """Unit of n distances (n,), from the hint or else from their size (`MIN_LONGEST_DISTANCE_MM`), and notes."""
     if hints.length is not None:
         return hints.length, []
@@ -271,9 +271,9 @@ def _azimuth_sense_by_alignment(
             continue
         fixed_points = np.array([points_by_target[int(t)] for t in polar.target[rows]])
         misfit = _rigid_misfits(local_points[rows], fixed_points)
-        if max(misfit) > MIN_SECOND_TO_BEST_RATIO * min(misfit):
+        if max(misfit) > MIN_DECISIVE_CONVENTION_RATIO * min(misfit):
             station_senses.append(int(np.argmin(misfit)))
-    return _unanimous_sense(station_senses)
+    return _unanimous_azimuth_sense(station_senses)
 
 
 def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
@@ -310,27 +310,27 @@ def azimuth_sense_from_poses(
         images = local_points[rows] * [1.0, y_sign, 1.0]
         points[rows] = np.einsum("nij,nj->ni", rotations[index], images) + positions[index]
         misfits.append(position_disagreement(points, polar.station, polar.target))
-    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_SECOND_TO_BEST_RATIO * min(misfits):
+    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_DECISIVE_CONVENTION_RATIO * min(misfits):
         return None
-    return _unanimous_sense([int(np.argmin(misfits))])
+    return _unanimous_azimuth_sense([int(np.argmin(misfits))])
 
 
-def _unanimous_sense(station_senses: list[int]) -> AzimuthSense | None:
+def _unanimous_azimuth_sense(station_senses: list[int]) -> AzimuthSense | None:
     """Sense of the azimuth if all stations have the same one (0 counter-clockwise, 1 clockwise); otherwise None."""
     if not station_senses or min(station_senses) != max(station_senses):
         return None
     return "clockwise" if station_senses[0] else "counter-clockwise"
 
 
-def clock_questions(recording: Recording) -> tuple[str, ...]:
+def time_unit_questions(recording: Recording) -> tuple[str, ...]:
     """Question about the unit of the time column if the time between targets is implausible; otherwise empty."""
     is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     paces = np.abs(np.diff(recording.time))[is_change]
     paces = paces[np.isfinite(paces)]
-    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES:
+    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES_FOR_TIME_CHECK:
         return ()
     pace = float(np.median(paces))
-    if MIN_TARGET_INTERVAL_S <= pace <= MAX_TARGET_INTERVAL_S:
+    if MIN_PLAUSIBLE_TARGET_INTERVAL_S <= pace <= MAX_PLAUSIBLE_TARGET_INTERVAL_S:
         return ()
     span_s = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -339,7 +339,7 @@ def clock_questions(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
+def vertical_sight_notes(recording: Recording) -> tuple[str, ...]:
     """Note on pointings straight up or down, of which an adjustment uses the distance only; empty without them."""
     vertical_rows = np.flatnonzero(recording.is_along_standing_axis & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
@@ -351,7 +351,7 @@ def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
+def mirror_image_warnings(recording: Recording) -> tuple[str, ...]:
     """Warnings that readings fit the declared station positions, or another station, only as a mirror image.
 
     No warning is given for points in one plane, for a floor plan that fits neither sense, and for more than the
@@ -361,7 +361,7 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
         return ()
     local_points = from_polar(recording.readings)
     polar = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
-    poses = rough_poses(recording.setup, recording.stations)
+    poses = floor_plan_poses(recording.setup, recording.stations)
     notes = []
     if len(poses) > 1 and azimuth_sense_from_poses(local_points, polar, poses) == "clockwise":
         notes.append(
@@ -379,18 +379,18 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
 def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:
     """Indices (earlier, later) of pairs of stations whose common targets fit each other only as mirror images."""
     measured = np.isfinite(local_points).all(axis=1)
-    clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
+    clouds, pairs = target_points_by_station(local_points, recording.station, recording.target), []
     stations, targets = recording.station[measured], recording.target[measured]
     for other, s in most_shared_target_pairs(stations, targets, len(recording.stations)):
         here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
         extent = float(np.ptp(there, axis=0).max())
-        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_MIRROR_MISFIT_TO_NETWORK_SIZE * extent:
+        if misfit > MIN_DECISIVE_CONVENTION_RATIO * mirror and mirror < MAX_RELATIVE_MIRROR_MISFIT * extent:
             pairs.append((other, s))
     return pairs
 
 
-def rough_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
+def floor_plan_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
     """Rough pose by index in `names` of each station with position and direction of azimuth zero in the floor plan."""
     poses = {}
     for i, name in enumerate(names):

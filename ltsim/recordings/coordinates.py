@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, read_head, safe_excerpt
+from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     COORDINATE_ROLES,
@@ -35,7 +35,7 @@ from ltsim.recordings.tables.header import (
     header_columns,
     title_words_and_unit,
 )
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet, head_rows, read_sheets
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet, read_sheets, rows_of_file_beginning
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
@@ -45,7 +45,7 @@ MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest permitted difference of the entries ij and ji of a covariance matrix, divided by the largest variance."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
-MAX_COORDINATE_IN_METRES = 500.0
+MAX_COORDINATE_READ_AS_METRES = 500.0
 """Number below which the largest coordinate of a list without unit is read in metres; otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
 """Number from which the largest coordinate of a list without unit shows a national grid, whose unit is the metre."""
@@ -55,7 +55,7 @@ HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Possible numbers of fields in a line without header: name, x, y, z, then 3 or 4 sigmas, then a covariance."""
 POINT_NAME_ROLES = ("target", "station", "", "time", "date")
 """Roles of the columns that may contain the names of points; the first role that a header contains is used."""
-POINT_LIST_CONTENT_TEXT = (
+EXPECTED_POINT_LIST_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
 )
@@ -77,7 +77,7 @@ class PointList:
     """Line number in the file of each point."""
     n_contradictory_rows: int = 0
     """Number of ignored rows, which repeat the name of an earlier row with different coordinates."""
-    max_contradiction_m: float = 0.0
+    max_repeated_point_distance_m: float = 0.0
     """Largest distance [m] between an ignored row and the first row with its name."""
 
     @property
@@ -113,12 +113,12 @@ def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> Poi
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
             return _PointRowReader(sheet, *header).points(refuses_contradictions=refuses_contradictions)
-    raise RecordError(f"is not a list of coordinates, {POINT_LIST_CONTENT_TEXT}", file=path)
+    raise RecordError(f"is not a list of coordinates, {EXPECTED_POINT_LIST_TEXT}", file=path)
 
 
 def recognises(file_beginning: str) -> bool:
     """True if a file that begins with the text `file_beginning` is a list of points, with or without header."""
-    first_rows = head_rows(file_beginning)
+    first_rows = rows_of_file_beginning(file_beginning)
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
@@ -139,7 +139,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
         return None
     width = len(_drop_trailing_field(first_row))
     if width not in HEADERLESS_FIELD_COUNTS:
-        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {POINT_LIST_CONTENT_TEXT}")
+        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {EXPECTED_POINT_LIST_TEXT}")
     names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
@@ -231,7 +231,7 @@ class _PointRowReader:
         is_grid = largest >= MIN_NATIONAL_GRID_COORDINATE or any(
             title_words_and_unit(c.title)[0] in NATIONAL_GRID_TITLES for c in axes
         )
-        unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
+        unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_READ_AS_METRES else "mm")
         notes = [] if declared_unit else [f"coordinates are interpreted as {unit} (the largest is {largest:.6g})"]
         scales = [SI_PER_UNIT[c.unit if c.unit in SI_PER_UNIT and c.unit else unit] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
@@ -273,17 +273,17 @@ class EpochCoordinates:
         return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 
-def _targets_path(path: Path) -> Path:
+def _target_list_path(path: Path) -> Path:
     """Path of the file `targets.csv` if `path` is a folder of results; otherwise `path` unchanged."""
     return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:
     """True for a list of points, an XML result of gama-local, or a folder of results with `targets.csv`."""
-    path = _targets_path(path)
+    path = _target_list_path(path)
     if not path.is_file():
         return False
-    beginning = read_head(path, 4096).lstrip()
+    beginning = read_file_beginning(path, 4096).lstrip()
     return "<gama-local-adjustment" in beginning if beginning.startswith("<") else recognises(beginning)
 
 
@@ -291,8 +291,8 @@ def read_coordinates(path: Path) -> EpochCoordinates:
     """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError."""
     if not path.exists():
         raise RecordError("there is no such file", file=path)
-    folder, path = path, _targets_path(path)
-    is_xml = read_head(path, 256).lstrip().startswith("<")
+    folder, path = path, _target_list_path(path)
+    is_xml = read_file_beginning(path, 256).lstrip().startswith("<")
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
@@ -370,7 +370,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, (*point_list.notes, note))
 
 
-def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
+def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Text of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2]; `coordinates` are names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -12,11 +12,11 @@ from ltsim.recordings import coordinates, native
 from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
-    clock_questions,
-    mirror_image_sentences,
-    vertical_pointings_notes,
+    mirror_image_warnings,
+    time_unit_questions,
+    vertical_sight_notes,
 )
-from ltsim.recordings.files import read_head, with_unix_line_ends
+from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
@@ -29,11 +29,11 @@ from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
 """Recording, or path of a file or folder from which one is read."""
-MAX_HEAD_BYTES = 16_384
+MAX_FORMAT_RECOGNITION_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
-MAX_NOTES = 100
+MAX_NOTES_PER_FILE = 100
 """Largest number of reader notes on one file; without it a file of unknown keywords could cause 200,000."""
-MIN_CONTRADICTORY_ROWS = 2
+MIN_ROWS_SHOWING_MOVING_TARGET = 2
 """Smallest number of rows, with a name used before and different coordinates, that shows a moving target instead of a
 list of points. The number must also be at least the number of different names."""
 TRIAL_STATION_NAME = "S1"
@@ -102,9 +102,9 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
     if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names):
         message = f"this is a table of {n_points + n_repeated} positions without point names, as a moving target gives "
         message += "(on a robot, a T-MAC); it is not a list of points"
-    elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_DISTANCE_M:
+    elif n_repeated and point_list.max_repeated_point_distance_m < MAX_REPEATED_POINT_DISTANCE_M:
         message = f"this is a list of {n_points} points in {n_points + n_repeated} rows, without instrument readings"
-    elif n_repeated >= max(n_points, MIN_CONTRADICTORY_ROWS):
+    elif n_repeated >= max(n_points, MIN_ROWS_SHOWING_MOVING_TARGET):
         rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
         message = (
             f"this is a table of {rows}, as a moving target gives (on a robot, a T-MAC); it is not a list of points"
@@ -170,13 +170,13 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         raise RecordError(validation_sentence(problem.errors()[0], Setup), file=path) from None
     notes = (
         *recording.notes,
-        *mirror_image_sentences(recording),
-        *clock_questions(recording),
-        *vertical_pointings_notes(recording),
+        *mirror_image_warnings(recording),
+        *time_unit_questions(recording),
+        *vertical_sight_notes(recording),
     )
-    n_unlisted = len(notes) - MAX_NOTES
+    n_unlisted = len(notes) - MAX_NOTES_PER_FILE
     return recording.replace(
-        notes=notes if n_unlisted <= 0 else (*notes[:MAX_NOTES], f"{n_unlisted} further notes are not listed")
+        notes=notes if n_unlisted <= 0 else (*notes[:MAX_NOTES_PER_FILE], f"{n_unlisted} further notes are not listed")
     )
 
 
@@ -209,7 +209,7 @@ def recognise_format(path: Path) -> FileFormat:
         raise RecordError(f"is not a recording, but contains {advice}", file=path)
     beginning = ""
     if not path.is_dir():
-        beginning = with_unix_line_ends(read_head(path, MAX_HEAD_BYTES))
+        beginning = with_unix_line_ends(read_file_beginning(path, MAX_FORMAT_RECOGNITION_BYTES))
     unread_format = next((f for f in UNSUPPORTED_FORMATS if f.pattern.match(beginning)), None)
     if unread_format is not None:
         raise RecordError(

@@ -14,9 +14,9 @@ from ltsim.core.storage import is_device, open_for_reading, write_files, write_t
 
 MAX_RECORDING_NAME_LENGTH = 100
 """Largest permitted number of characters in the name of a station, target or instrument."""
-MAX_NUMBER_LENGTH = 40
+MAX_NUMBER_TEXT_LENGTH = 40
 """Largest number of characters of a cell that is read as a number."""
-MAX_TEXT_LENGTH = 500
+MAX_CELL_TEXT_LENGTH = 500
 """Largest permitted number of characters in a text, such as a cell of an additional column."""
 MAX_RECORDING_TITLE_LENGTH = 120
 """Number of characters to which the title in a file of another program is shortened."""
@@ -56,7 +56,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     return content
 
 
-def decode_head(content: bytes) -> str:
+def decode_file_beginning(content: bytes) -> str:
     """Text of the first bytes of a file, in UTF-16 (recognised by its byte-order mark), UTF-8 or else Latin-1.
 
     An incomplete character at the end is omitted.
@@ -69,14 +69,14 @@ def decode_head(content: bytes) -> str:
         return content.removeprefix(UTF8_BYTE_ORDER_MARK).decode("latin-1")
 
 
-def read_head(path: Path, n_bytes: int) -> str:
-    """Text of the first `n_bytes` bytes of a file, decoded by `decode_head`.
+def read_file_beginning(path: Path, n_bytes: int) -> str:
+    """Text of the first `n_bytes` bytes of a file, decoded by `decode_file_beginning`.
 
     Raises RecordError for a file that cannot be read, and for a pipe or device.
     """
     try:
         with open_for_reading(path) as stream:
-            return decode_head(stream.read(n_bytes))
+            return decode_file_beginning(stream.read(n_bytes))
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
@@ -89,7 +89,7 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
     """
     content = read_bytes(path, max_bytes)
     if content.startswith(UTF16_BYTE_ORDER_MARKS):
-        content = decode_head(content).encode()
+        content = decode_file_beginning(content).encode()
     elif b"\x00" in content[1:2] and replaces_undecodable:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
@@ -126,7 +126,7 @@ def with_unix_line_ends(text: str) -> str:
 
 def is_number(text: str) -> bool:
     """True if `text` is a decimal number in ASCII."""
-    return len(text) <= MAX_NUMBER_LENGTH and NUMBER_PATTERN.fullmatch(text) is not None
+    return len(text) <= MAX_NUMBER_TEXT_LENGTH and NUMBER_PATTERN.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
@@ -193,11 +193,11 @@ class SourceLocation:
     def text(self, text: str, column: str | None = None) -> str:
         """Unchanged `text`, checked to be a short line without control characters and markup; raises RecordError."""
         has_markup = "<" in text or ">" in text or not text.isprintable()
-        if len(text) > MAX_TEXT_LENGTH or has_markup:
+        if len(text) > MAX_CELL_TEXT_LENGTH or has_markup:
             reason = (
                 "contains control characters or markup"
                 if has_markup
-                else f"is longer than {MAX_TEXT_LENGTH} characters"
+                else f"is longer than {MAX_CELL_TEXT_LENGTH} characters"
             )
             raise self.error(f"the text '{safe_excerpt(text)}' {reason}", column)
         return text
@@ -220,7 +220,7 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
 
     Raises RecordError if the folder cannot be created or written to, or if a link leads out of the folder.
     """
-    with _writing_errors(folder):
+    with _raise_writing_errors_as_record_errors(folder):
         write_files(folder, {name: _utf8_bytes(text) for name, text in texts.items()})
 
 
@@ -231,7 +231,7 @@ def write_text(path: Path, text: str | bytes) -> None:
     its folder.
     """
     if is_device(path) and not path.is_symlink():
-        with _writing_errors(path):
+        with _raise_writing_errors_as_record_errors(path):
             write_to_device(path, _utf8_bytes(text))
     else:
         write_texts(path.parent, {path.name: text})
@@ -243,7 +243,7 @@ def _utf8_bytes(text: str | bytes) -> bytes:
 
 
 @contextmanager
-def _writing_errors(path: Path) -> Iterator[None]:
+def _raise_writing_errors_as_record_errors(path: Path) -> Iterator[None]:
     """Context manager that raises errors of writing to `path` as RecordError."""
     try:
         yield

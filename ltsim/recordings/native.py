@@ -17,7 +17,7 @@ from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
-    MAX_NUMBER_LENGTH,
+    MAX_NUMBER_TEXT_LENGTH,
     NUMBER_PATTERN,
     SourceLocation,
     is_not_finite,
@@ -26,7 +26,7 @@ from ltsim.recordings.files import (
     safe_excerpt,
     write_texts,
 )
-from ltsim.recordings.occupations import check_centring
+from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
@@ -48,10 +48,10 @@ OBSERVATIONS_FILE = "observations.csv"
 SETUP_FILE = "setup.toml"
 REQUIRED_COLUMNS = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 READING_COLUMNS = ("distance_mm", "azimuth_deg", "elevation_deg")
-BASIC_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
+STANDARD_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
 ENUMERATED_COLUMNS = {DISTANCE_METER_COLUMN: ("adm", "ifm", ""), DISTANCE_KIND_COLUMN: ("slope", "horizontal", "")}
 TEXT_COLUMNS = (*ENUMERATED_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
-COLUMN_BOUNDS = {
+COLUMN_VALUE_BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
     "elevation_deg": (-90.0, 270.0),
@@ -66,7 +66,7 @@ WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Endings of column names that show a wrong unit, in addition to the units that ltsim knows."""
 TextTable = tuple[list[str], list[Sequence[str]]]
 """Column names and column texts of a table such as `observations.csv`; as rows they would take twice the memory."""
-MAX_COMPARED_NAMES = 100_000
+MAX_NAME_COMPARISONS = 100_000
 """Largest number of pairs of names, in all notes on a recording, that are compared to propose similar names; a
 comparison takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
@@ -81,23 +81,23 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from its folder, or from the path of its `observations.csv`; raises RecordError.
 
-    With `hints.incomplete_tail` the file may still grow: an incomplete last row is ignored, and targets of reference
+    With `hints.is_growing` the file may still grow: an incomplete last row is ignored, and targets of reference
     lengths may be missing. If `hints` declares clockwise azimuths, their sign is changed.
     """
     folder = path.parent if path.name == OBSERVATIONS_FILE else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    table = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
-    recording = parse(table, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
+    table = _read_table(folder / OBSERVATIONS_FILE, is_growing=hints.is_growing)
+    recording = parse(table, read_setup(folder / SETUP_FILE), folder, is_growing=hints.is_growing)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
 
-def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
-    """Column names and columns of a CSV file, without an incomplete last row if `incomplete_tail`; or RecordError."""
+def _read_table(path: Path, *, is_growing: bool) -> TextTable:
+    """Column names and columns of a CSV file, without an incomplete last row if `is_growing`; or RecordError."""
     lines = read_lines(path)
-    if lines[-1] and incomplete_tail:
+    if lines[-1] and is_growing:
         lines = lines[:-1]
     elif lines[-1]:
         raise SourceLocation(path, len(lines) - 1).error(
@@ -131,10 +131,10 @@ def _yield_and_free_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
+def parse(table: TextTable, setup: Setup, folder: Path, *, is_growing: bool = False) -> Recording:
     """Recording from the texts of `observations.csv` and its set-up; `folder` is named in errors.
 
-    With `incomplete_tail` reference values and centring errors are not checked.
+    With `is_growing` reference values and centring errors are not checked.
     """
     file = folder / OBSERVATIONS_FILE
     header = list(map(unescape_formula, table[0]))
@@ -172,10 +172,10 @@ def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool
         labels=labels,
         has_clock="time_s" in columns,
     )
-    if not incomplete_tail:
+    if not is_growing:
         _require_valid_gauge(recording, folder / SETUP_FILE)
         check_reference_difference_ends(recording, folder / SETUP_FILE)
-        check_centring(recording, folder / SETUP_FILE)
+        check_centring_tables(recording, folder / SETUP_FILE)
     _require_declared_smrs(recording, folder)
     return recording.replace(notes=_unused_settings_notes(recording))
 
@@ -192,11 +192,11 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         if name in header[:i]:
             raise location.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
-        right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
+        right = next((k for k in COLUMN_VALUE_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
             and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
-            and name not in COLUMN_BOUNDS
+            and name not in COLUMN_VALUE_BOUNDS
         ):
             raise location.error(f"the unit '{unit}' is not permitted here, expected the column {right}", name)
     for name in REQUIRED_COLUMNS:
@@ -220,12 +220,12 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 
 
 def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
-    """Numbers (n,) in n cells, within `COLUMN_BOUNDS`; an empty cell is NaN if `is_optional`, otherwise an error."""
-    low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
+    """Numbers (n,) in n cells, within `COLUMN_VALUE_BOUNDS`; an empty cell is NaN if `is_optional`, else an error."""
+    low, high = COLUMN_VALUE_BOUNDS.get(location.column or "", (-1e15, 1e15))
     numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
     texts = [column[i] for i in filled_rows]
-    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
+    if max(map(len, texts), default=0) <= MAX_NUMBER_TEXT_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
         numbers[filled_rows] = list(map(float, texts))
         if np.all((numbers[filled_rows] >= low) & (numbers[filled_rows] <= high)):
             return numbers
@@ -245,11 +245,11 @@ def _additional_columns(
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
-        if name in BASIC_COLUMNS:
+        if name in STANDARD_COLUMNS:
             continue
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
-        if (numeric or name in COLUMN_BOUNDS) and name not in TEXT_COLUMNS:
+        if (numeric or name in COLUMN_VALUE_BOUNDS) and name not in TEXT_COLUMNS:
             covariates[name] = _float_column(column, SourceLocation(file, column=name))
             continue
         for i, text in enumerate(column):
@@ -325,9 +325,9 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
 def _similar_names_phrase(name: str, names: Sequence[str], n_notes: int) -> str:
     """End of a note that proposes names similar to `name`; empty if there are none, or too many to compare.
 
-    `n_notes` is the number of earlier notes; `MAX_COMPARED_NAMES` limits the comparisons of all notes.
+    `n_notes` is the number of earlier notes; `MAX_NAME_COMPARISONS` limits the comparisons of all notes.
     """
-    if (n_notes + 1) * len(names) > MAX_COMPARED_NAMES:
+    if (n_notes + 1) * len(names) > MAX_NAME_COMPARISONS:
         return ""
     similar = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     return f"; did you mean {', '.join(similar)}?" if similar else ""

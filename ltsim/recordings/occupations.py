@@ -16,7 +16,7 @@ DAY_COLUMN = "date"
 """Name of the column with the day of each pointing, as text."""
 DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
-MAX_LISTED_NAMES = 12
+MAX_NAMES_IN_MESSAGE = 12
 """Largest number of names that a message lists if none is similar to the unknown name."""
 
 
@@ -32,7 +32,7 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
-def check_centring(recording: Recording, file: object) -> None:
+def check_centring_tables(recording: Recording, file: object) -> None:
     """Check that each table `[[centring]]` of the set-up names stations, targets and columns that the recording has.
 
     Raises RecordError, which names `file` and proposes similar names.
@@ -40,7 +40,7 @@ def check_centring(recording: Recording, file: object) -> None:
     for i, entry in enumerate(recording.setup.centring):
         location = SourceLocation(file, column=f"centring {i + 1}")
         for key, name, names in entry.unknown_names(recording.stations, recording.targets):
-            near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_LISTED_NAMES])
+            near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_NAMES_IN_MESSAGE])
             raise location.error(f"{key} contains '{safe_excerpt(name)}', which is not measured; did you mean {near}?")
         has_days = bool(days_of_pointings(recording))
         if entry.occupation == "day" and not has_days:

@@ -68,7 +68,7 @@ class PointingColumns:
     sources: Sequence[str]
 
 
-def name_with_number(name: str, n_earlier: int) -> str:
+def numbered_name(name: str, n_earlier: int) -> str:
     """Unique name of a repeated item, such as a set-up on one mark: `name`, then `name#2`, `name#3` and so on.
 
     `n_earlier` is the number of earlier items with this name.
@@ -98,7 +98,7 @@ def has_all_sigma_columns(recording: Recording) -> bool:
     return bool(np.isfinite(sigmas[recording.is_measured]).all())
 
 
-def readings_of(pointings: Sequence[Pointing]) -> Floats:
+def readings_of_pointings(pointings: Sequence[Pointing]) -> Floats:
     """Range, azimuth and elevation (n, 3) [m, rad, rad] of n pointings."""
     values = (value for p in pointings for value in (p.distance, p.azimuth, p.elevation))
     return np.fromiter(values, dtype=np.float64, count=3 * len(pointings)).reshape(-1, 3)
@@ -120,7 +120,7 @@ def recording_from_pointings(
         [p.station for p in pointings],
         [p.target for p in pointings],
         np.array([p.face for p in pointings], dtype=np.int64),
-        readings_of(pointings),
+        readings_of_pointings(pointings),
         np.array([p.time for p in pointings]),
         {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in covariate_names},
         {name: [p.labels.get(name, "") for p in pointings] for name in label_names},
@@ -168,8 +168,8 @@ def recording_from_columns(
 class SingleObservation:
     """Single observation (distance, azimuth or elevation) of a target, with its standard deviation; units m and rad.
 
-    Heights [m] are those above survey marks. Numbers that the file does not give are NaN. `is_horizontal` is True for a
-    distance reduced to the horizontal plane; `line` is the number of its line in the file, 0 if unknown.
+    Heights [m] are those above survey marks. Numbers that the file does not give are NaN. `is_horizontal_distance` is
+    True for a distance reduced to the horizontal plane; `line` is the number of its line in the file, 0 if unknown.
     """
 
     kind: ObservationKind
@@ -179,9 +179,9 @@ class SingleObservation:
     sigma: float = NOT_MEASURED
     instrument_height: float = NOT_MEASURED
     target_height: float = NOT_MEASURED
-    is_horizontal: bool = False
+    is_horizontal_distance: bool = False
     line: int = 0
-    shared_error_changes: dict[str, float] = field(default_factory=dict)
+    shared_error_shifts: dict[str, float] = field(default_factory=dict)
     """Change of the value [m, rad] by one standard deviation of each error that several observations share, by error
     name."""
 
@@ -191,7 +191,7 @@ class SingleObservation:
         return self.instrument_height, self.target_height
 
 
-def merge_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
+def pointings_from_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
     """Pointings into which the single observations from each station to each target are combined.
 
     The k-th azimuth, elevation and distance, if their heights are equal, form one pointing. Standard deviations and
@@ -229,10 +229,10 @@ def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
     shared_columns = {
         f"shared_{name}_{OBSERVABLE_NAMES_WITH_UNIT[OBSERVABLES.index(kind)]}": change / _SIGMA_UNIT_BY_KIND[kind]
         for kind, observation in row.items()
-        for name, change in observation.shared_error_changes.items()
+        for name, change in observation.shared_error_shifts.items()
     }
     height_columns = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
-    is_horizontal = "distance" in row and row["distance"].is_horizontal
+    is_horizontal_distance = "distance" in row and row["distance"].is_horizontal_distance
     lines = sorted({observation.line for observation in row.values() if observation.line})
     first_observation = next(iter(row.values()))
     return Pointing(
@@ -243,7 +243,7 @@ def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         covariates={
             name: value for name, value in (sigmas | height_columns | shared_columns).items() if value == value
         },
-        labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal else {},
+        labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal_distance else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
 

@@ -43,7 +43,7 @@ REFLECTOR_COLUMN = "reflector"
 """Column with the name of the SMR of each pointing; an empty cell stands for the SMR that `setup.toml` gives the
 target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
-MAX_TIME_S = 2e18
+MAX_POINTING_TIME_S = 2e18
 """Largest permitted time [s] of a pointing. Unix time in nanoseconds (1.8e18), read as seconds, is below this limit."""
 MIN_COS_ELEVATION_DIVISOR = 1e-6
 """Lower limit of the cosine of the elevation by which the standard deviation across the beam is divided."""
@@ -59,7 +59,9 @@ OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
 pointing."""
 
 
-def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
+def reading_sigmas_from_noise(
+    noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats
+) -> Floats:
     """Declared standard deviations (n, 3) [m, rad, rad] of the ranges, azimuths and elevations of n pointings.
 
     `instrument` (n,) is the index into `noise_declarations` of each pointing's instrument; `range_` (n,) is in m,
@@ -120,13 +122,13 @@ class Recording(Result):
     """File and line of each pointing, as text; empty for the native format."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite and at most `MAX_TIME_S` in magnitude; raises ModelError."""
-        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME_S))
+        """Check that all times are finite and at most `MAX_POINTING_TIME_S` in magnitude; raises ModelError."""
+        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_POINTING_TIME_S))
         if len(invalid_rows):
             row, value = int(invalid_rows[0]) + 1, self.time[invalid_rows[0]]
             raise ModelError(
-                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME_S:g}; for a recording "
-                "without a clock give time=np.arange(n) and has_clock=False"
+                f"the time of row {row} is {value}, expected seconds of at most {MAX_POINTING_TIME_S:g}; for a "
+                "recording without a clock give time=np.arange(n) and has_clock=False"
             )
 
     def __len__(self) -> int:
@@ -178,7 +180,7 @@ class Recording(Result):
         return np.isfinite(self.readings)
 
     @property
-    def is_usable(self) -> Bools:
+    def is_usable_reading(self) -> Bools:
         """Flags (n, 3) of the readings of n pointings that an adjustment uses; it uses no angles of vertical sights."""
         return self.is_measured & ~(self.is_along_standing_axis[:, None] & [False, True, True])
 
@@ -234,7 +236,7 @@ class Recording(Result):
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, elevation = np.nan_to_num(self.readings).T
-        sigma = noise_sigma(noise, self.station, range_, elevation)
+        sigma = reading_sigmas_from_noise(noise, self.station, range_, elevation)
         for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
             if name in self.covariates:
                 column_sigma = self.covariates[name] * unit
@@ -270,7 +272,7 @@ class Recording(Result):
         return regressors
 
     @property
-    def is_horizontal(self) -> Bools:
+    def is_horizontal_distance(self) -> Bools:
         """Flags (n,) of those of n pointings whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)

@@ -41,7 +41,7 @@ class ReferenceLengths:
     """Reference lengths (g,) [m] at the temperature of use."""
     certificate_sigmas: Floats
     """Standard deviation (g,) [m] of the independent error of each of g lengths, as in its calibration certificate."""
-    shared_error_changes: dict[str, Floats]
+    shared_error_shifts: dict[str, Floats]
     """Change (g,) [m] of the g lengths by one standard deviation of each error that several lengths share, by name of
     the error. Such errors are those of an expansion coefficient, of a thermometer, and of the scale."""
 
@@ -79,16 +79,14 @@ class ReferenceLengths:
     @property
     def is_scale_determined(self) -> bool:
         """True if the lengths determine the scale of the network, not only the ratios of distances."""
-        return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
-            np.any(
-                self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_SIGMA_PPM * PPM * self.lengths
-            )
+        return SCALE_ERROR_NAME not in self.shared_error_shifts or bool(
+            np.any(self.shared_error_shifts[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_SIGMA_PPM * PPM * self.lengths)
         )
 
     @property
     def sigma(self) -> Floats:
         """Total standard deviation (g,) [m] of each of g lengths: independent and shared errors together."""
-        return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
+        return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_shifts.values()))
 
 
 def _expansion_factor_and_changes(
@@ -113,7 +111,9 @@ def _expansion_factor_and_changes(
     material = gauge if gauge_distance.material is None else materials[gauge_distance.material]
     declared = gauge.measured_at_c if gauge_distance.measured_at_c is None else gauge_distance.measured_at_c
     temperature_c = (
-        _mean_of_column(recording, declared, gauge_distance, location) if isinstance(declared, str) else declared
+        _mean_temperature_of_column(recording, declared, gauge_distance, location)
+        if isinstance(declared, str)
+        else declared
     )
     sigma = (
         gauge.sigma_temperature_k if gauge_distance.sigma_temperature_k is None else gauge_distance.sigma_temperature_k
@@ -131,7 +131,9 @@ def _expansion_factor_and_changes(
     return expansion.length_ratio, {name: change for name, change in change_by_error.items() if change}
 
 
-def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
+def _mean_temperature_of_column(
+    recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]
+) -> float:
     """Mean temperature [deg C] in the column `name` over the pointings to both ends of the reference length `gauge`.
 
     Raises RecordError, which names `location`, if the recording lacks the column or has no value in these pointings.

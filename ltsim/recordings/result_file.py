@@ -111,7 +111,7 @@ class Entry(DescribedModel):
         return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
 
 
-class SourceEntry(Entry):
+class ResultSource(Entry):
     """Identification of the recording, or of the list of coordinates, from which a result was computed."""
 
     title: str = ""
@@ -124,7 +124,7 @@ class SourceEntry(Entry):
     """Day, or day and time, of the measurement in ISO format; None if the set-up does not give it."""
 
     @classmethod
-    def from_recording(cls, recording: Recording) -> SourceEntry:
+    def from_recording(cls, recording: Recording) -> ResultSource:
         """Identification of a recording: title, number of pointings, digest and day of the measurement."""
         time_keys = {"measured_on": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(
@@ -132,7 +132,7 @@ class SourceEntry(Entry):
         )
 
     @classmethod
-    def from_coordinates(cls, coordinates: EpochCoordinates) -> SourceEntry:
+    def from_coordinates(cls, coordinates: EpochCoordinates) -> ResultSource:
         """Identification of a list of coordinates: title and digest, with 0 pointings."""
         content = (
             "\t".join((*coordinates.names, coordinates.axes)).encode()
@@ -153,7 +153,7 @@ class ResultFile(Entry, Result):
     """Name of the JSON file."""
     format: str
     """Format and version of the file, such as `ltsim-calibration/1`."""
-    recording: SourceEntry | None = None
+    recording: ResultSource | None = None
     """Recording, or list of coordinates, from which the result was computed."""
     files: dict[str, str] = Field(default_factory=dict)
     """Digest (SHA-256) of each companion file, by file name."""

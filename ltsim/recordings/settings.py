@@ -107,7 +107,7 @@ def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
         setup_tables, lambda table, place: _with_data_sheet_defaults(table, place, file)
     )
     setup = validate_settings(tables, Setup, "set-up", file)
-    _check_names(setup, file)
+    _check_setup_names(setup, file)
     return setup
 
 
@@ -185,7 +185,7 @@ def _single_line(problem: Exception) -> str:
     return safe_excerpt(" ".join(str(problem).split()), 160)
 
 
-def _check_names(setup: Setup, file: object) -> None:
+def _check_setup_names(setup: Setup, file: object) -> None:
     """Check of a set-up: permitted names, declared instruments, and two different ends of each length and difference.
 
     Raises RecordError, which names `file`.
@@ -258,7 +258,7 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
 
 def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
     """Keys that the table at a `path` of keys in the model `root` may have."""
-    return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
+    return [key for _, nodes in json_schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
 
 
 _COUNT_PATTERN = re.compile(
@@ -284,7 +284,7 @@ def _model_schema(root: type[BaseModel]) -> JsonSchema:
     return root.model_json_schema(by_alias=True)
 
 
-def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
+def json_schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
     """JSON schemas of the value at a `path` of keys in the model `root`, with their alternatives ("number or text")."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
@@ -296,12 +296,12 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     nodes = [_model_schema(root)]
     for part in map(str, path):
         nodes = [
-            schema for node in nodes for choice in choices(node) if (schema := _schema_below(choice, part)) is not None
+            schema for node in nodes for choice in choices(node) if (schema := _schema_of_key(choice, part)) is not None
         ]
     return [(node, choices(node)) for node in nodes]
 
 
-def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
+def _schema_of_key(node: JsonSchema, path_part: str) -> JsonSchema | None:
     """JSON schema of a key (or list index) in a table with the schema `node`; None if there is no such key."""
     schema = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
     schema = schema or (node.get("items") if path_part.isdecimal() else None)
@@ -329,17 +329,17 @@ def setup_to_toml(setup: Setup, file: object) -> str:
     for kind in ("stations", "targets", "reflectors"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
-    if _n_keys(table) > MAX_TOML_KEYS:
+    if _count_keys(table) > MAX_TOML_KEYS:
         message = f"would hold more than {MAX_TOML_KEYS} keys and tables, the limit for reading"
         raise RecordError(f"{message}; divide the recording by station", file=file)
     return to_toml(table)
 
 
-def _n_keys(value: Any) -> int:
+def _count_keys(value: Any) -> int:
     """Number of keys in nested tables."""
     if isinstance(value, Mapping):
-        return len(value) + sum(map(_n_keys, value.values()))
-    return sum(map(_n_keys, value)) if isinstance(value, list | tuple) else 0
+        return len(value) + sum(map(_count_keys, value.values()))
+    return sum(map(_count_keys, value)) if isinstance(value, list | tuple) else 0
 
 
 def to_toml(table: Mapping[str, Any]) -> str:

@@ -26,19 +26,19 @@ REQUIRED_LIMIT_KEYS = ("transverse_limit_um", "transverse_limit_um_per_m", "rang
 RANGE_KEY_PREFIXES = ("distance_", "range_")
 """Beginnings of the keys of noise and prior that are derived from the limits of range errors."""
 
-TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
+ASSUMED_TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
 """Standard deviations of a precise total station by ISO 17123, as in data sheets."""
-TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
+ASSUMED_TOTAL_STATION = Instrument(noise=ASSUMED_TOTAL_STATION_NOISE, corrected=True)
 """Instrument that is assumed for files of total stations; it corrects its readings."""
-ASSUMED_NOISE_TEXT = "the file declares no noise"
+ASSUMED_NOISE_NOTE_BEGINNING = "the file declares no noise"
 """Beginning of each note that reports an assumed noise."""
-NO_NOISE_NOTE = (
-    f"{ASSUMED_NOISE_TEXT}: the default noise of a laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
-    "setup.toml, or estimate it from the readings (--noise-from-data)"
+ASSUMED_TRACKER_NOISE_NOTE = (
+    f"{ASSUMED_NOISE_NOTE_BEGINNING}: the default noise of a laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); "
+    "set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 """Note for the user that the default noise of a laser tracker is assumed."""
-TOTAL_STATION_NOTE = (
-    ASSUMED_NOISE_TEXT
+ASSUMED_TOTAL_STATION_NOISE_NOTE = (
+    ASSUMED_NOISE_NOTE_BEGINNING
     + ": the default noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
@@ -47,7 +47,7 @@ TOTAL_STATION_NOTE = (
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
     """True if one of the `notes` of a recording reports that its noise is assumed, because the file declares none."""
-    return any(note.startswith(ASSUMED_NOISE_TEXT) for note in notes)
+    return any(note.startswith(ASSUMED_NOISE_NOTE_BEGINNING) for note in notes)
 
 
 def noise_origin(notes: Iterable[str]) -> str:
@@ -146,7 +146,7 @@ class Specification(TomlSection):
         )
 
     @property
-    def assumption_sentence(self) -> str:
+    def limit_interpretation_sentence(self) -> str:
         """Sentence that says how the limits of the data sheet become standard deviations."""
         return (
             f"each limit of the data sheet is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, "
@@ -190,7 +190,7 @@ def completed_specification_values(name: str, declared_values: Mapping[str, Any]
     return {**keys, **declared_values}
 
 
-def data_sheet(name: str) -> Specification:
+def data_sheet_specification(name: str) -> Specification:
     """Specification from the built-in data sheet `name`; raises ModelError if the sheet lacks a required limit."""
     return Specification.model_validate(completed_specification_values(name, {}))
 

@@ -20,7 +20,7 @@ from ltsim.recordings.files import SourceLocation
 
 
 @dataclass(frozen=True)
-class ColumnConversion:
+class WrongColumnConversion:
     """Transcription error that replaces each reading in certain columns by factor * reading + offset."""
 
     name: str
@@ -57,9 +57,9 @@ class ColumnConversion:
         return corrected
 
 
-def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> ColumnConversion:
+def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> WrongColumnConversion:
     """Transcription error of distances in another unit of `unit_in_mm` [mm]."""
-    return ColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
+    return WrongColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
@@ -71,24 +71,26 @@ UNIT_AND_CONVENTION_ERRORS = (
     _length_unit_error("micrometre", "micrometres", 1e-3),
     _length_unit_error("centimetre", "centimetres", 10.0),
     _length_unit_error("foot", "feet", 304.8),
-    ColumnConversion("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
-    ColumnConversion("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
-    ColumnConversion("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
-    ColumnConversion("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
-    ColumnConversion("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
-    ColumnConversion(
+    WrongColumnConversion("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
+    WrongColumnConversion("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
+    WrongColumnConversion("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
+    WrongColumnConversion("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
+    WrongColumnConversion("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
+    WrongColumnConversion(
         "zenith-gon",
         "zenith angles in gon",
         "elevations in degrees",
         ((1, GON_PER_DEGREE, 0.0), (2, -GON_PER_DEGREE, GON_PER_DEGREE * QUARTER_TURN)),
     ),
-    ColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
+    WrongColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
 """Transcription errors of a unit, of the kind of vertical angle, and of the sense of the azimuth."""
 
-FACE_ERRORS = (
-    ColumnConversion("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
-    ColumnConversion("face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)),
+WRONG_FACE_ERRORS = (
+    WrongColumnConversion("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
+    WrongColumnConversion(
+        "face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)
+    ),
 )
 """Transcription errors of an angle that belongs to the other face."""
 
@@ -97,7 +99,7 @@ MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
 MIN_LONGEST_DISTANCE_MM = 200.0
 """Number below which the longest distance of a recording is in metres, because recordings have distances of more than
 200 mm."""
-MAX_COMPARED_PAIRS = 400
+MAX_COMPARED_LENGTH_PAIRS = 400
 """Largest number of pairs of stations, and of pairs of targets, whose lengths are compared."""
 MAX_COMPARED_TARGETS = 60
 """Largest number of common targets of two stations that are used to compare lengths."""
@@ -108,12 +110,12 @@ MAX_RIGHT_LENGTH_DISAGREEMENT = 2e-4
 """Median relative difference between the lengths that two stations measure between common targets, below which the
 lengths agree. A transcription error is the cause if its correction gives such a difference."""
 
-MIN_MIRRORED_TARGETS = 5
+MIN_TARGETS_FOR_MIRROR_TEST = 5
 """Smallest number of common targets with which two stations are tested as mirror images; fewer may lie in one plane."""
 
 
 @dataclass(frozen=True)
-class StationCloud:
+class StationTargetPoints:
     """Positions of the k targets that one station measured: target indices (k,), ascending, and mean positions (k, 3).
 
     Positions are in the frame of the station.
@@ -122,15 +124,15 @@ class StationCloud:
     targets: Ints
     points: Floats
 
-    def common_points(self, other_cloud: StationCloud) -> tuple[Floats, Floats]:
+    def common_points(self, other_cloud: StationTargetPoints) -> tuple[Floats, Floats]:
         """Positions (m, 3) of the m targets that both stations measured, first in this station's frame."""
         _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
         return self.points[rows], other_cloud.points[other_rows]
 
 
-def station_clouds(
+def target_points_by_station(
     points: Floats, station: Ints, target: Ints, max_stations: int | None = None
-) -> dict[int, StationCloud]:
+) -> dict[int, StationTargetPoints]:
     """Mean positions of the targets of each station, by station index.
 
     `points` (n, 3) are the positions measured in n pointings, in the frames of the stations; rows with NaN are ignored.
@@ -145,7 +147,7 @@ def station_clouds(
     stations, first_rows = np.unique(keys // n_targets, return_index=True)
     bounds = [*first_rows.tolist(), len(keys)]
     return {
-        s: StationCloud(keys[start:end] % n_targets, mean_points[start:end])
+        s: StationTargetPoints(keys[start:end] % n_targets, mean_points[start:end])
         for s, (start, end) in zip(stations[:max_stations].tolist(), itertools.pairwise(bounds), strict=False)
     }
 
@@ -168,12 +170,12 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
     """Pairs of station indices: for each station the earlier station with which it shares most targets, then itself.
 
-    Pairs with fewer than `MIN_MIRRORED_TARGETS` common targets are omitted, because these may lie in a plane, and the
-    mirror image of a plane is equal to it.
+    Pairs with fewer than `MIN_TARGETS_FOR_MIRROR_TEST` common targets are omitted, because these may lie in a plane,
+    and the mirror image of a plane is equal to it.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
     best_neighbours = n_shared.argmax(axis=0).tolist()
-    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
+    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_TARGETS_FOR_MIRROR_TEST]
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
@@ -183,10 +185,10 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     two stations have two common targets. Lengths do not depend on the poses of stations. They reveal wrong units and a
     wrong kind of vertical angle, but not a wrong sense of the azimuth.
     """
-    clouds = station_clouds(points, station, target, MAX_COMPARED_PAIRS + 1).values()
+    clouds = target_points_by_station(points, station, target, MAX_COMPARED_LENGTH_PAIRS + 1).values()
     disagreements: list[float] = []
-    for cloud, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_PAIRS):
-        if len(disagreements) >= MAX_COMPARED_PAIRS:
+    for cloud, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_LENGTH_PAIRS):
+        if len(disagreements) >= MAX_COMPARED_LENGTH_PAIRS:
             break
         common_points = [p[:MAX_COMPARED_TARGETS] for p in cloud.common_points(other)]
         if len(common_points[0]) < 2:
@@ -203,7 +205,7 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     `points` (n, 3) are the positions measured in n pointings, in a common frame. The result is NaN if no target was
     measured from two stations.
     """
-    clouds = station_clouds(points, station, target).values()
+    clouds = target_points_by_station(points, station, target).values()
     if not clouds:
         return float("nan")
     targets = np.concatenate([cloud.targets for cloud in clouds])
@@ -215,7 +217,7 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     return float(np.median(distances)) + 1e-9 if len(distances) else float("nan")
 
 
-def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
+def _two_face_vertical_angle_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
     """Sums (k,) of the vertical angles in face 1 and face 2, for k pairs of station and target."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
@@ -240,7 +242,7 @@ def require_degrees_and_millimetres(
     if -np.inf < longest < MIN_LONGEST_DISTANCE_MM:
         message = f"the longest distance is {longest:.4g}, so distances appear to be in metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
-    face_sums = _two_face_sums(elevation, station, target, face)
+    face_sums = _two_face_vertical_angle_sums(elevation, station, target, face)
     median = float(np.median(face_sums)) if len(face_sums) else float("nan")
     for unit_error in UNIT_AND_CONVENTION_ERRORS:
         expected = _face_sum_with_error(unit_error)
@@ -261,7 +263,7 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.changed_columns[0] - 1]).error(message)
 
 
-def _face_sum_with_error(error: ColumnConversion) -> float | None:
+def _face_sum_with_error(error: WrongColumnConversion) -> float | None:
     """Sum of the vertical angles in both faces that a file with this error contains, in the wrong unit.
 
     The result is None if the error does not change vertical angles.
@@ -273,7 +275,7 @@ def _face_sum_with_error(error: ColumnConversion) -> float | None:
     return None
 
 
-def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnConversion | None:
+def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> WrongColumnConversion | None:
     """Transcription error of angles whose correction makes the lengths between targets equal from all stations.
 
     `readings` (n, 3) [m, rad, rad] are those of n pointings, not corrected. The result is None if there is no such

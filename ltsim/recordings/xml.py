@@ -28,9 +28,9 @@ from ltsim.recordings.files import SourceLocation, read_bytes, safe_excerpt
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
 """Pattern of tags with more than 4096 characters; shorter tags cannot exceed the limit of attributes."""
-MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
+BAND_MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
 """Error message for a matrix of GNU Gama with too many or too few values."""
-LINE_ATTRIBUTE = "{ltsim}line"
+LINE_NUMBER_ATTRIBUTE = "{ltsim}line"
 """Attribute in which the parser stores the line number of an element; it replaces one in the file."""
 
 
@@ -44,7 +44,7 @@ class _LineNumberBuilder(TreeBuilder):
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
         self._depth.start(tag, attrs)
-        return super().start(tag, {**attrs, LINE_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
+        return super().start(tag, {**attrs, LINE_NUMBER_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
 
     def end(self, tag: Any, /) -> Element:
         self._depth.end(tag)
@@ -164,7 +164,7 @@ class XmlNode:
     @property
     def line(self) -> int:
         """Line number in the file where the element begins."""
-        return int(self.element.get(LINE_ATTRIBUTE, "0"))
+        return int(self.element.get(LINE_NUMBER_ATTRIBUTE, "0"))
 
     @property
     def location(self) -> SourceLocation:
@@ -210,7 +210,7 @@ def band_matrix_value_count(node: XmlNode, n_rows: float, band: float) -> int:
     the limit.
     """
     if not 0 <= band < n_rows or n_rows % 1:
-        raise node.location.error(MATRIX_SIZE_MESSAGE)
+        raise node.location.error(BAND_MATRIX_SIZE_MESSAGE)
     rows, width = int(n_rows), int(band)
     size = rows * (width + 1) - width * (width + 1) // 2
     if size > MAX_COVARIANCE_VALUES:
@@ -228,7 +228,7 @@ def band_matrix_entries(
     RecordError, which names `node`, if their number is wrong.
     """
     if len(band_values) != band_matrix_value_count(node, n_rows, band):
-        raise node.location.error(MATRIX_SIZE_MESSAGE)
+        raise node.location.error(BAND_MATRIX_SIZE_MESSAGE)
     row_indices = np.arange(int(n_rows))
     last_columns = np.minimum(row_indices + int(band), int(n_rows) - 1)
     counts = last_columns - row_indices + 1

@@ -74,7 +74,7 @@ class CadFile:
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
-def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
+def read_cad_file(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
     """CAD file converted to metres with z up.
 
     `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of the format. Raises InputError for

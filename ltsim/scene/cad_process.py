@@ -50,7 +50,7 @@ def read_triangles(path: Path) -> Floats:
     content = read_whole_file(path)
     suffix = path.suffix.lower()
     if suffix == ".stl":
-        _require_few_triangles(path, max_stl_facets(content))
+        _require_few_triangles(path, max_stl_triangle_count(content))
     if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= MAX_IN_PROCESS_CAD_BYTES):
         try:
             triangles = parse_triangles(content, suffix)
@@ -64,7 +64,7 @@ def read_triangles(path: Path) -> Floats:
     return triangles
 
 
-def max_stl_facets(file_content: bytes) -> int:
+def max_stl_triangle_count(file_content: bytes) -> int:
     """Upper limit of the number of triangles in an STL file, from its length (binary) or its keywords (text)."""
     n_facets = (len(file_content) - 84) // 50
     if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == n_facets:

@@ -25,10 +25,10 @@ RAY_END_MARGIN = 1e-6
 """Length [m] at both ends of a ray that is not tested, so that a surface does not hide points on it."""
 MAX_RAY_TRIANGLE_PAIRS = 2_000_000
 """Largest number of pairs of ray and triangle that are tested at a time, to limit the memory."""
-TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
+INSIDE_TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
 """Direction of the upward rays that test whether a point is inside a body. It is slightly tilted, so that no ray runs
 along an edge of an upright box."""
-MAX_SMOOTH_ANGLE = np.radians(35.0)
+MAX_SMOOTH_SURFACE_ANGLE = np.radians(35.0)
 """Angle [rad] between the normals of adjacent triangles below which they approximate one curved surface."""
 N_CYLINDER_SIDES = 64
 """Number of flat sides that represent a cylinder; their edges are 0.1 % of the radius outside it."""
@@ -46,7 +46,7 @@ MAX_RANDOM_SURFACE_POINTS = 20_000
 """Largest number of random points that are drawn on a body as possible positions of nests."""
 MERGE_DECIMALS = 8
 """Number of decimals of coordinates [m] to which corners of triangles are rounded to merge equal corners."""
-UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
+UNIT_CUBE_TRIANGLES = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
 """Triangles (12, 3, 3) [m] of a cube of edge 1 m around the origin, with outward normals. Their order affects the
@@ -126,13 +126,13 @@ class Obstacles:
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
-            met = _does_ray_hit_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
+            met = _does_ray_hit_triangle(self.triangles[t], points[start + i], INSIDE_TEST_RAY_DIRECTION, np.inf)
             n_crossings[start : start + step] = np.bincount(i[met], minlength=len(x))
         return n_crossings % 2 == 1
 
     @cached_property
     def _triangle_bounding_rectangles(self) -> tuple[Floats, Floats]:
-        """Smallest and largest x and y of m triangles, projected along `TEST_RAY_DIRECTION`: two arrays (2, m) [m]."""
+        """Smallest and largest x and y of m triangles, projected along the test rays: two arrays (2, m) [m]."""
         flat = _plan_coordinates_along_test_ray(self.triangles)
         return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
@@ -152,7 +152,7 @@ class Obstacles:
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals_and_areas(points[faces])
         angle = np.arccos(np.clip(_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
-        shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
+        shared, angle = shared[angle < MAX_SMOOTH_SURFACE_ANGLE], angle[angle < MAX_SMOOTH_SURFACE_ANGLE]
         edge = np.linalg.norm(np.diff(points[edges[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
@@ -173,7 +173,7 @@ class Obstacles:
         if (key := points.tobytes()) not in self._moved_points_cache:
             projected = points.copy()
             for i in np.flatnonzero(self.is_inside_body(points)):
-                nearest = nearest_points(self.triangles, points[i])
+                nearest = nearest_points_on_triangles(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
                 if RAY_END_MARGIN < gap[best] < self._distances_to_curved_surface[best] + RAY_BUNDLE_RADIUS:
@@ -248,7 +248,7 @@ def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
     return cross / np.where(cross_lengths > 0.0, cross_lengths, 1.0)[:, None], 0.5 * cross_lengths
 
 
-def nearest_points(triangles: Floats, point: Floats) -> Floats:
+def nearest_points_on_triangles(triangles: Floats, point: Floats) -> Floats:
     """Points (m, 3) [m] of m triangles (m, 3, 3) [m], edges included, that are nearest to `point` (3,) [m]."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     edge_fractions = np.clip(_dot_products(gap, edge) / np.maximum(_dot_products(edge, edge), 1e-300), 0.0, 1.0)
@@ -261,8 +261,8 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
 
 
 def _plan_coordinates_along_test_ray(points: Floats) -> Floats:
-    """Coordinates x and y (..., 2) [m] of points (..., 3) projected along `TEST_RAY_DIRECTION` to z = 0."""
-    return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
+    """Coordinates x and y (..., 2) [m] of points (..., 3) projected along `INSIDE_TEST_RAY_DIRECTION` to z = 0."""
+    return points[..., :2] - points[..., 2:] * INSIDE_TEST_RAY_DIRECTION[:2] / INSIDE_TEST_RAY_DIRECTION[2]
 
 
 def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
@@ -277,7 +277,7 @@ def rotate_and_shift_triangles(triangles: Floats, position: Floats, yaw: float) 
 
 def box_triangles(edge_lengths: Floats) -> Floats:
     """Triangles (12, 3, 3) [m] of a box with edges (3,) [m] along x, y, z, standing on z = 0 around the z axis."""
-    return UNIT_CUBE * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
+    return UNIT_CUBE_TRIANGLES * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
@@ -298,7 +298,7 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
 
 def wall_triangles(hall_size: Floats) -> Floats:
     """Triangles (8, 3, 3) [m] of the walls of a hall of size (3,) [m] with a corner at the origin; inward normals."""
-    body = (UNIT_CUBE + 0.5) * hall_size
+    body = (UNIT_CUBE_TRIANGLES + 0.5) * hall_size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 

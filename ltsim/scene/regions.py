@@ -28,25 +28,25 @@ REGION_SHAPES = {
     "y": "slab across y",
 }
 """Name of the shape of a region, by the axes in which the region is bounded."""
-MIN_CENTRE_STEP = 0.5
+MIN_REGION_CENTRE_SPACING = 0.5
 """Smallest spacing [m] of region centres on the coarsest grid, to limit the number of candidate regions."""
-MAX_CENTRES_PER_AXIS = 10
+MAX_REGION_CENTRES_PER_AXIS = 10
 """Largest number of region centres along an axis of the coarsest grid, to limit the number of candidate regions."""
 GRID_SUBDIVISIONS_BY_N_AXES = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Divisors of the spacing of the coarsest grid that give the grids of candidate regions, by the number of bounded axes.
 A finer grid is needed for a disturbance narrower than the spacing: a region several times wider than the disturbance
 has only a tenth of the evidence."""
-MIN_PASSING_LINES = 6
+MIN_LINES_THROUGH_REGION = 6
 """Smallest number of lines of sight through a candidate region; fewer lines show an error of single readings."""
-MAX_PASSING_LINE_FRACTION = 0.8
+MAX_LINE_FRACTION_THROUGH_REGION = 0.8
 """Largest fraction of all lines of sight that may pass through a candidate region; if almost all do, the error belongs
 to the whole recording."""
 MIN_TARGETS_BEHIND_REGION = 2
 """Smallest number of targets whose lines of sight pass through a candidate region; with a single target the error
 belongs to this target."""
-REFINED_CENTRE_STEPS = (0.5, 0.15)
+LOCAL_SEARCH_CENTRE_SHIFTS = (0.5, 0.15)
 """Shifts of a region's centre that a local search tries, divided by the width of the region."""
-REFINED_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
+LOCAL_SEARCH_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
 """Factors by which a local search multiplies the width of a region."""
 MIN_REGION_WIDTH = 0.005
 """Smallest width [m] of a region in a local search: the width of a tracker's beam. A narrower region would contain
@@ -137,11 +137,11 @@ class HallRegion:
 
     def neighbours(self) -> Iterator["HallRegion"]:
         """Iterator over the regions that a local search tries: with a shifted centre, or with another width."""
-        for i, move, sign in product(range(len(self.bounded_axes)), REFINED_CENTRE_STEPS, (1.0, -1.0)):
+        for i, move, sign in product(range(len(self.bounded_axes)), LOCAL_SEARCH_CENTRE_SHIFTS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
             yield replace(self, centre=tuple(centre))
-        for factor in REFINED_WIDTH_FACTORS:
+        for factor in LOCAL_SEARCH_WIDTH_FACTORS:
             if self.width * factor >= MIN_REGION_WIDTH:
                 yield replace(self, width=round(self.width * factor, 6))
 
@@ -250,7 +250,7 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
 def _candidate_regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
     """Candidate regions bounded in `axes`, on the coarsest grid and on finer ones (`GRID_SUBDIVISIONS_BY_N_AXES`)."""
     low, high = coordinate_extent(sightings)
-    coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
+    coarsest_spacing = max(MIN_REGION_CENTRE_SPACING, float((high - low).max()) / MAX_REGION_CENTRES_PER_AXIS)
     return [
         r
         for parts in GRID_SUBDIVISIONS_BY_N_AXES[len(axes)]
@@ -288,7 +288,9 @@ def is_passed_by_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
     """
     n_crossed = is_crossed.sum(axis=1)
-    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_LINE_FRACTION * len(sightings))
+    is_sufficient = (n_crossed >= MIN_LINES_THROUGH_REGION) & (
+        n_crossed <= MAX_LINE_FRACTION_THROUGH_REGION * len(sightings)
+    )
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND_REGION

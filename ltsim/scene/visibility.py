@@ -17,7 +17,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
 from ltsim.scene.meshes import Obstacles
 
-DOWNWARD = np.array([0.0, 0.0, -1.0])
+DOWNWARD_DIRECTION = np.array([0.0, 0.0, -1.0])
 """Unit vector straight down in the frame of an upright instrument."""
 LIMIT_TOLERANCE = 1e-9
 """Tolerance [rad or m] for rounding errors in comparisons with limits of angles and distances."""
@@ -27,17 +27,17 @@ class InvisibilityReason(IntEnum):
     """Reason why a target is not visible from a station; if several apply, the first of them in this order."""
 
     VISIBLE = 0
-    STATION_INSIDE = 1
+    STATION_INSIDE_OBSTACLE = 1
     OUT_OF_RANGE = 2
     BELOW_MIN_ELEVATION = 3
     ABOVE_MAX_ELEVATION = 4
-    STAND_SHADOW = 5
+    IN_STAND_SHADOW = 5
     ACCEPTANCE = 6
     OBSTACLE = 7
     MARGINAL = 8
 
 
-REASON_TEXTS = (
+INVISIBILITY_REASON_TEXTS = (
     "",
     "station inside an obstacle",
     "out of range",
@@ -109,7 +109,7 @@ class Visibility:
 
     def short_reason_texts(self) -> list[list[str]]:
         """Reasons as in `reason_texts`, but without measured values and limits: S lists of T texts."""
-        return [[REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
+        return [[INVISIBILITY_REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
         """Reason, as text, why a target is invisible from a station; for range and elevation with the limit."""
@@ -129,7 +129,11 @@ class Visibility:
                 f"{elevation:.1f} deg, the maximum is {limits.elevation_max / DEGREE:.4g} deg",
             ),
         }.get(code, ("", ""))
-        return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
+        return (
+            f"{INVISIBILITY_REASON_TEXTS[code]} ({number}: instrument.limits.{key})"
+            if key
+            else INVISIBILITY_REASON_TEXTS[code]
+        )
 
     @property
     def is_marginal(self) -> Bools:
@@ -190,14 +194,14 @@ def compute_visibility(
     if np.any(range_ < LIMIT_TOLERANCE):
         raise ModelError("a target has the same position as a station; check the coordinates")
     beam = sight / range_[:, :, None]
-    down = np.broadcast_to(DOWNWARD, position.shape) if rotation is None else rotation @ DOWNWARD
+    down = np.broadcast_to(DOWNWARD_DIRECTION, position.shape) if rotation is None else rotation @ DOWNWARD_DIRECTION
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
     incidence = _incidence_on_reflectors(beam, nest_normals, is_reaimed)
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.shadow_cone_opening - 0.5 * np.pi
     checks = (
         (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
-        (InvisibilityReason.STAND_SHADOW, elevation < shadow - LIMIT_TOLERANCE),
+        (InvisibilityReason.IN_STAND_SHADOW, elevation < shadow - LIMIT_TOLERANCE),
         (InvisibilityReason.ABOVE_MAX_ELEVATION, elevation > limits.elevation_max + LIMIT_TOLERANCE),
         (InvisibilityReason.BELOW_MIN_ELEVATION, elevation < limits.elevation_min - LIMIT_TOLERANCE),
         (InvisibilityReason.OUT_OF_RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
@@ -247,7 +251,7 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
         obstacles.is_blocked(position[sight_pairs[:, 0]], obstacles.moved_to_surface(points)[sight_pairs[:, 1]])
     ]
     reason_table[hidden_pairs[:, 0], hidden_pairs[:, 1]] = InvisibilityReason.OBSTACLE
-    reason_table[is_inside] = InvisibilityReason.STATION_INSIDE
+    reason_table[is_inside] = InvisibilityReason.STATION_INSIDE_OBSTACLE
 
 
 def nest_normals_of_smallest_incidence(position: Floats, points: Floats) -> tuple[Floats, Floats]:

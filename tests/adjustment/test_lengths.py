@@ -61,9 +61,9 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         "temperature of the gauge": [0, 11.5e-6, 1.2e-6, 0],
         "expansion of invar": [0, 0, 1.8e-6, 0],
     }
-    assert set(known.shared_error_changes) == set(expected)
+    assert set(known.shared_error_shifts) == set(expected)
     for name, change in expected.items():
-        np.testing.assert_allclose(known.shared_error_changes[name], change, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(known.shared_error_shifts[name], change, atol=1e-12, err_msg=name)
 
 
 def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: Recording) -> None:

@@ -88,7 +88,7 @@ def test_a_file_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(readings[3], [15.0, (400 - 20) * GON, 0], atol=1e-12)
     np.testing.assert_allclose(sigma[3], [0.5e-3 + 6e-6 * 15, 7e-4 * GON, 8e-4 * GON])
     np.testing.assert_allclose(sigma[4, 0], 0.02e-3 + 6e-6 * 6.0)
-    assert recording.is_horizontal[-1]
+    assert recording.is_horizontal_distance[-1]
     instrument, target = recording.heights()
     np.testing.assert_allclose(instrument, [0.1] * 3 + [0] * 4)
     np.testing.assert_allclose(target, [0.07, 0.03, 0.07, 0.03, 0.03, 0.03, 0.03])

@@ -19,7 +19,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings import Hints, read
-from ltsim.recordings.conventions import mirror_image_sentences
+from ltsim.recordings.conventions import mirror_image_warnings
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import read_setup
@@ -303,11 +303,11 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
         for i, name in enumerate(one.stations)
     }
     one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
-    assert not mirror_image_sentences(one)
-    mirrored = mirror_image_sentences(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
+    assert not mirror_image_warnings(one)
+    mirrored = mirror_image_warnings(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
     assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
-    found = mirror_image_sentences(workshop().with_readings(one.readings * second))
+    found = mirror_image_warnings(workshop().with_readings(one.readings * second))
     assert found == (
         "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of these stations "
         "run clockwise",

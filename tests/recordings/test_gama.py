@@ -65,7 +65,7 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
     readings = recording.readings
     np.testing.assert_allclose(readings[0], [10.05, -10 * GON, np.pi / 2 - 101 * GON])
     np.testing.assert_allclose(readings[1], [7.07, -60.5 * GON, np.pi / 2 - np.radians(95 + 30 / 60 + 30 / 3600)])
-    assert list(recording.is_horizontal) == [False, True, *[False] * 5]
+    assert list(recording.is_horizontal_distance) == [False, True, *[False] * 5]
     sigma = recording.sigma()
     np.testing.assert_allclose(sigma[0], [0.0015, 3e-4 * GON, 4e-4 * GON])
     np.testing.assert_allclose(sigma[1, 1:], [9e-4 * GON, 4.0 * ARCSECOND])
@@ -310,7 +310,7 @@ def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
     text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
     (tmp_path / "a.gkf").write_text(text)
     found = read(tmp_path / "a.gkf")
-    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal[1]
+    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal_distance[1]
     targets = found.setup.targets
     assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
     assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)

@@ -68,7 +68,7 @@ def test_missing_and_horizontal(tmp_path: Path) -> None:
     text = "110002+00000A12 21.322+01000000 22.322+-------- 32..00+00012345\n"
     recording = read(gsi(tmp_path / "n.gsi", text), hints=Hints(station="P"))
     assert np.isnan(recording.readings[0, 2])
-    assert recording.is_horizontal[0]
+    assert recording.is_horizontal_distance[0]
     assert recording.stations == ("P",)
 
 

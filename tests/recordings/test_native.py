@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings.centring_errors import CentringUncertainty
-from ltsim.recordings.native import MAX_COMPARED_NAMES, _similar_names_phrase, read_recording, write_recording
+from ltsim.recordings.native import MAX_NAME_COMPARISONS, _similar_names_phrase, read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import read_setup, setup_to_toml
 from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Prior, Setup, Station, Target
@@ -532,7 +532,7 @@ def test_a_selection_keeps_the_centring_errors_of_its_names() -> None:
 
 def test_names_of_many_unused_tables_are_compared_within_bounds() -> None:
     """Each was compared with each name of the recording: 30,000 tables and 400,000 set-ups took hours."""
-    names = tuple(f"S{i}" for i in range(MAX_COMPARED_NAMES // 2))
+    names = tuple(f"S{i}" for i in range(MAX_NAME_COMPARISONS // 2))
     assert "did you mean S1" in _similar_names_phrase("S1", names, 0)
     assert _similar_names_phrase("S1", names, 2) == ""
     assert _similar_names_phrase("S1", names * 3, 0) == ""

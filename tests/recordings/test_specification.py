@@ -15,8 +15,8 @@ from ltsim.recordings.specification import (
     MPE_COVERAGE_FACTOR,
     REQUIRED_LIMIT_KEYS,
     Specification,
-    data_sheet,
     data_sheet_names,
+    data_sheet_specification,
     data_sheet_values,
     noise_and_prior_tables,
 )
@@ -62,7 +62,7 @@ def test_every_sheet_says_where_its_figures_stand() -> None:
 
 def test_no_range_is_guessed() -> None:
     with pytest.raises(ModelError, match="leica-at960 does not give range_limit_um"):
-        data_sheet("leica-at960")
+        data_sheet_specification("leica-at960")
     with pytest.raises(ModelError, match=r"give errors of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
         noise_and_prior_tables("api-radian", {"noise": RANGE_TABLES["noise"]})
 
@@ -132,7 +132,7 @@ def test_what_a_specification_of_ones_own_becomes() -> None:
     made = limits_of(stated.noise.model_dump(), stated.prior.model_dump(), own_zero=False)
     assert made["transverse_limit_um_per_m"] == pytest.approx(6)
     assert made["range_limit_um"] == pytest.approx(10)
-    assert "2 standard deviations" in own.assumption_sentence
+    assert "2 standard deviations" in own.limit_interpretation_sentence
 
 
 def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: Path) -> None:

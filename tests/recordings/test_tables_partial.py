@@ -59,7 +59,7 @@ def test_a_slope_distance_has_priority_over_a_horizontal_one(tmp_path: Path) -> 
     rows[3][6] = ""
     recording = read_rows(tmp_path / "a.csv", rows, HEADER.replace("SD [m]", "HD [m];SD [m]"))
     np.testing.assert_allclose(recording.readings[:, 0], [12.3456, 13.3456, 10.3456, 11.2456])
-    assert recording.is_horizontal.tolist() == [False, False, False, True]
+    assert recording.is_horizontal_distance.tolist() == [False, False, False, True]
 
 
 def test_words_for_faces(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import RecordError
 from ltsim.recordings import Hints, Recording, read
-from ltsim.recordings.specification import TOTAL_STATION_NOISE
+from ltsim.recordings.specification import ASSUMED_TOTAL_STATION_NOISE
 from tests.recordings.samples import workshop
 
 MARKS = {"A": (0.0, 0.0, 1.0), "B": (30.0, 2.0, 1.4)}
@@ -136,7 +136,7 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
 ) -> None:
     visits = [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)]
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
-    assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
+    assert recording.setup.instrument.noise == ASSUMED_TOTAL_STATION_NOISE
     assert (
         "the default noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
         in recording.notes[0]

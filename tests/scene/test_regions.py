@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ltsim.scene.regions import (
-    MAX_PASSING_LINE_FRACTION,
-    MIN_PASSING_LINES,
+    MAX_LINE_FRACTION_THROUGH_REGION,
+    MIN_LINES_THROUGH_REGION,
     MIN_REGION_WIDTH,
     MIN_TARGETS_BEHIND_REGION,
     REGION_SHAPES,
@@ -56,7 +56,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
     assert regions and len(set(regions)) == len(regions)
     for region in regions:
         passing = region.path_lengths(SCENE) > region.width
-        assert MIN_PASSING_LINES <= passing.sum() <= MAX_PASSING_LINE_FRACTION * len(SCENE)
+        assert MIN_LINES_THROUGH_REGION <= passing.sum() <= MAX_LINE_FRACTION_THROUGH_REGION * len(SCENE)
         assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS_BEHIND_REGION
         at = ["xyz".index(axis) for axis in region.bounded_axes]
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])

@@ -236,7 +236,7 @@ class MeasurementModel:
     @cached_property
     def _is_horizontal_distance(self) -> Bools | None:
         """Flags (n,) of those of n pointings with a horizontal distance; None if no distance is horizontal."""
-        flat = self.recording.is_horizontal
+        flat = self.recording.is_horizontal_distance
         return flat if flat.any() else None
 
     def sightings(self, state: NetworkState) -> Sightings:
@@ -338,17 +338,17 @@ class MeasurementModel:
         return Prediction(raw, *derivatives)
 
 
-def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
+def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal_distance: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to horizontal distances, in place.
 
-    `is_horizontal` (n,) flags those of n pointings that are reduced, in the readings (n, 3) and in each derivative (n,
-    3, k) with respect to k unknowns.
+    `is_horizontal_distance` (n,) flags those of n pointings that are reduced, in the readings (n, 3) and in each
+    derivative (n, 3, k) with respect to k unknowns.
     """
-    range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
+    range_, level = readings[is_horizontal_distance, 0], readings[is_horizontal_distance, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
     for by in derivatives:
-        by[is_horizontal, 0] = (sign * cosine)[:, None] * by[is_horizontal, 0] - (sign * range_ * np.sin(level))[
-            :, None
-        ] * by[is_horizontal, 2]
-    readings[is_horizontal, 0] = range_ * np.abs(cosine)
+        by[is_horizontal_distance, 0] = (sign * cosine)[:, None] * by[is_horizontal_distance, 0] - (
+            sign * range_ * np.sin(level)
+        )[:, None] * by[is_horizontal_distance, 2]
+    readings[is_horizontal_distance, 0] = range_ * np.abs(cosine)

@@ -21,7 +21,7 @@ from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size [rad] of the unit cc, which is 1e-4 gon."""
-FIXED_SIGMA_M = 1e-7
+FIXED_COORDINATE_SIGMA_M = 1e-7
 """Standard deviation [m] that represents a fixed coordinate in the adjustment."""
 FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Axes along which points are fixed, by the keyword (such as ``*CALA``) of the section with their declarations."""
@@ -97,7 +97,7 @@ class LineOptions:
 class DeclaredPoint:
     """Point declared in an LGC file: coordinates, and sums for the weighted mean of its observed coordinates."""
 
-    declared_point: Floats
+    declared_coordinates: Floats
     """Coordinates (3,) [m] in the declaration, either known or approximate."""
     inverse_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     """Sum (3, 3) [1 / m^2] of the inverse covariances of all observations of the point; 0 along axes without
@@ -125,12 +125,12 @@ class DeclaredPoint:
     @property
     def is_fixed(self) -> bool:
         """True if the point is fixed along all axes; observations of its coordinates are then ignored."""
-        return bool(np.all(np.diag(self.inverse_covariance) >= 0.5 * FIXED_SIGMA_M**-2))
+        return bool(np.all(np.diag(self.inverse_covariance) >= 0.5 * FIXED_COORDINATE_SIGMA_M**-2))
 
     @property
     def is_placeholder(self) -> bool:
         """True if the plan coordinates are 0, which stands for unknown coordinates."""
-        return not np.any(self.declared_point[:2])
+        return not np.any(self.declared_coordinates[:2])
 
     @property
     def point_and_covariance(self) -> tuple[Floats, Floats]:
@@ -139,10 +139,11 @@ class DeclaredPoint:
         A coordinate without observation has the declared value and a variance of 1 mm^2.
         """
         axes = np.diag(self.inverse_covariance) > 0
-        block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
+        block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_coordinates.copy()
         covariance[block] = np.linalg.inv(self.inverse_covariance[block])
         point[axes] += (
-            covariance[block] @ (self.weighted_coordinate_sum - self.inverse_covariance @ self.declared_point)[axes]
+            covariance[block]
+            @ (self.weighted_coordinate_sum - self.inverse_covariance @ self.declared_coordinates)[axes]
         )
         return point, covariance
 
@@ -152,11 +153,11 @@ def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint
 
     `keyword` is the keyword of the section, without asterisk.
     """
-    name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
-    point = DeclaredPoint(declared_point)
+    name, declared_coordinates = _name_and_point(line_words, "a point needs a name and three coordinates")
+    point = DeclaredPoint(declared_coordinates)
     axes = np.array([axis in FIXED_AXES_BY_KEYWORD[keyword] for axis in "xyz"])
     if axes.any():
-        point.add_observation(declared_point, np.eye(3) * FIXED_SIGMA_M**2, axes)
+        point.add_observation(declared_coordinates, np.eye(3) * FIXED_COORDINATE_SIGMA_M**2, axes)
     else:
         _read_precision(point, [token.upper() for token in line_words.tokens[4:]], line_words.location)
     return name, point
@@ -189,7 +190,8 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
         )
     if "APRICOV" in sigma_words:
         point.add_observation(
-            point.declared_point, _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location)
+            point.declared_coordinates,
+            _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location),
         )
         return
     value_by_option = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
@@ -197,7 +199,9 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
         [location.number(value_by_option[s], s) * MILLIMETRE if s in value_by_option else np.nan for s in SIGMA_OPTIONS]
     )
     if value_by_option:
-        point.add_observation(point.declared_point, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
+        point.add_observation(
+            point.declared_coordinates, np.diag(np.fmax(sigma, FIXED_COORDINATE_SIGMA_M) ** 2), np.isfinite(sigma)
+        )
 
 
 def _parse_matrix(word: str, location: SourceLocation) -> Floats:
@@ -244,7 +248,7 @@ class TargetSigmas:
 class PolarInstrument:
     """Polar instrument in an LGC file: name of its default kind of target, height [m], kinds of target by name."""
 
-    default_target: str
+    default_target_kind: str
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
@@ -273,7 +277,7 @@ class PolarInstrument:
 
     def _noise(self) -> Noise:
         """Noise from the standard deviations of the default kind of target, or else of the first declared kind."""
-        sigmas = self.targets.get(self.default_target) or next(iter(self.targets.values()), None)
+        sigmas = self.targets.get(self.default_target_kind) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()
         return Noise(

@@ -31,7 +31,7 @@ from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES_BY_KEYWORD,
-    FIXED_SIGMA_M,
+    FIXED_COORDINATE_SIGMA_M,
     DeclaredPoint,
     LineWords,
     PolarInstrument,
@@ -42,8 +42,8 @@ from ltsim.recordings.pointings import (
     NOT_MEASURED,
     ObservationKind,
     SingleObservation,
-    merge_observations,
-    name_with_number,
+    numbered_name,
+    pointings_from_observations,
     recording_from_pointings,
     separate_constant_heights,
 )
@@ -75,7 +75,7 @@ class _SetUp:
     instrument: str
     height: float
     levelled: bool
-    default_target: str
+    default_target_kind: str
     direction_constant: float = 0.0
 
 
@@ -107,7 +107,7 @@ class _LgcContent:
 
     def add_setup(self, setup: _SetUp) -> None:
         """Addition of a set-up; a further set-up over one point gets a number."""
-        self.setups[name_with_number(setup.point, self.n_setups_by_point[setup.point])] = setup
+        self.setups[numbered_name(setup.point, self.n_setups_by_point[setup.point])] = setup
         self.n_setups_by_point[setup.point] += 1
 
 
@@ -187,7 +187,7 @@ def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = line_words.options(2), lgc.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
-    default = options.values.get("TRGT", polar.default_target)
+    default = options.values.get("TRGT", polar.default_target_kind)
     lgc.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
@@ -200,8 +200,8 @@ def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
     options, name = line_words.options(0), lgc.station
     setup = lgc.setups[name]
-    default = options.values.get("TRGT", setup.default_target)
-    setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
+    default = options.values.get("TRGT", setup.default_target_kind)
+    setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target_kind=default)
     if lgc.observations and lgc.observations[-1].station == name:
         lgc.add_setup(setup)
     else:
@@ -241,7 +241,7 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
         raise where.error(f"the point {target} is in no block of points")
     options = line_words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
-        options.values.get("TRGT", setup.default_target),
+        options.values.get("TRGT", setup.default_target_kind),
         lgc.instruments[setup.instrument].targets,
     )
     if kind_of_target not in sigmas_by_target:
@@ -278,7 +278,7 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
 
 def _make_recording(lgc: _LgcContent) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(lgc.observations, lgc.path.name)
+        pointings_from_observations(lgc.observations, lgc.path.name)
     )
     if not pointings:
         raise RecordError("contains no polar observations", file=lgc.path)
@@ -339,7 +339,7 @@ class _TangentPlane:
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
         """Tangent plane at the median of points with known plan coordinates; `earth_model` is '' without curvature."""
-        plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
+        plan_points = [point.declared_coordinates[:2] for point in points if not point.is_placeholder]
         return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
     def plane_coordinates(self, point: Floats) -> Vector:
@@ -351,12 +351,12 @@ class _TangentPlane:
     def station_settings(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """Keys and values in `setup.toml` for a set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
-            {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
+            {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_coordinates)}
         )
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVELLING_SIGMA_ARCSEC}
         if levelled and self.is_curved and keys.get("position_mm"):
-            x, y = ((point.declared_point[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
+            x, y = ((point.declared_coordinates[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
             keys["vertical"] = (x, y, 1.0)
         return keys
 
@@ -364,13 +364,17 @@ class _TangentPlane:
         """Keys and values in `setup.toml` for a target: coordinates known along some axes, approximate along others."""
         axes = point.known_axes
         if axes is None:
-            return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
+            return (
+                {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_coordinates)}
+            )
         coordinates, covariance = point.point_and_covariance
         keys: dict[str, Any] = {"known_mm": self.plane_coordinates(coordinates), "known_axes": axes}
-        keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
-        if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+        keys["known_sigma_mm"] = FIXED_COORDINATE_SIGMA_M / MILLIMETRE
+        if not all(
+            abs(covariance[k, k] / FIXED_COORDINATE_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes
+        ):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
-        return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_point)}
+        return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_coordinates)}
 
 
 def _notes(lgc: _LgcContent) -> Iterator[str]:

@@ -18,13 +18,13 @@ from ltsim.recordings.pointings import (
     NOT_MEASURED,
     Pointing,
     index_names,
-    name_with_number,
-    readings_of,
+    numbered_name,
+    readings_of_pointings,
     recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
-from ltsim.recordings.resolution import default_total_station
+from ltsim.recordings.resolution import total_station_with_assumed_noise
 from ltsim.recordings.setup import Setup, Station, Target, Vector
 from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_notes
 
@@ -52,7 +52,7 @@ class FieldBook:
 
         A further set-up over one point gets the name of the point with a number.
         """
-        self.station = name_with_number(location.name(name, "station"), self.n_setups_by_point[name])
+        self.station = numbered_name(location.name(name, "station"), self.n_setups_by_point[name])
         self.n_setups_by_point[name] += 1
         self.setups[self.station] = (name, height, coordinates_mm)
 
@@ -65,12 +65,12 @@ class FieldBook:
         horizontal: float,
         zenith: float,
         height: float = NOT_MEASURED,
-        is_horizontal: bool = False,
+        is_horizontal_distance: bool = False,
     ) -> None:
         """Addition of a pointing: distance [m], clockwise direction and zenith angle [rad], height of the target [m].
 
-        A reading that was not measured is NaN. `horizontal` is the direction. `is_horizontal` is True for a distance
-        reduced to the horizontal plane.
+        A reading that was not measured is NaN. `horizontal` is the direction. `is_horizontal_distance` is True for a
+        distance reduced to the horizontal plane.
 
         Raises RecordError if there is no set-up yet, for impossible readings, and for too many pointings.
         """
@@ -101,7 +101,7 @@ class FieldBook:
                     HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None
                 ),
                 labels=self._interned_column(
-                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal and np.isfinite(distance) else None
+                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal_distance and np.isfinite(distance) else None
                 ),
                 source=f"{self.path.name}, line {location.row}",
             )
@@ -140,8 +140,8 @@ class FieldBook:
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=coordinates_mm,
             )
-        readings = readings_of(pointings)
-        instrument, noise = default_total_station(readings, f"it is {kind}")
+        readings = readings_of_pointings(pointings)
+        instrument, noise = total_station_with_assumed_noise(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
             air=NO_AIR_UNCERTAINTY,
@@ -162,7 +162,7 @@ class FieldBook:
         targets, target = index_names([p.target for p in self.pointings], "target", self.path)
         face = np.fromiter((p.face for p in self.pointings), dtype=np.int64, count=len(self.pointings))
         sight = 2 * (occupation * len(targets) + target) + face
-        readings = readings_of(self.pointings)
+        readings = readings_of_pointings(self.pointings)
         orientation = circle_orientations(occupation, sight, readings)
         if orientation is None:
             return []
@@ -171,7 +171,7 @@ class FieldBook:
         counts: Counter[str] = Counter()
         for name, number in dict.fromkeys(keys):
             point = self.setups[name][0]
-            name_by_key[name, number] = name_with_number(point, counts[point])
+            name_by_key[name, number] = numbered_name(point, counts[point])
             counts[point] += 1
         self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
         self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]

@@ -34,7 +34,7 @@ from ltsim.recordings.formats.gama_network import (
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     SingleObservation,
-    merge_observations,
+    pointings_from_observations,
     recording_from_pointings,
     separate_constant_heights,
 )
@@ -43,9 +43,9 @@ from ltsim.recordings.references import check_reference_difference_ends
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, LengthGauge, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
-MIRRORED_AXES = ("ne", "sw", "es", "wn")
+LEFT_HANDED_AXES = ("ne", "sw", "es", "wn")
 """Directions of the x and y axes that form a left-handed system, for which the sign of y is changed."""
-UNMIRRORED_AXES = ("en", "nw", "se", "ws")
+RIGHT_HANDED_AXES = ("en", "nw", "se", "ws")
 """Directions of the x and y axes that form a right-handed system."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size [rad] of the unit cc, which is 1e-4 gon."""
@@ -120,12 +120,12 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
-    if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
+    if axes not in (*LEFT_HANDED_AXES, *RIGHT_HANDED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{safe_excerpt(axes)}', angles='{safe_excerpt(angles)}' is not a coordinate system of gama-local"
         )
         raise node.location.error(message)
-    network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
+    network.y_sign = -1.0 if axes in LEFT_HANDED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
     network.north_direction_deg = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
@@ -258,14 +258,14 @@ def _parse_observation(
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, sense * second, child, network)
     if child.tag in ("direction", "azimuth"):
         return SingleObservation(
-            "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_changes=shared
+            "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_shifts=shared
         )
     if value > np.pi:
         raise child.location.error(
             "found a zenith angle beyond half a circle, expected 0 to half a circle", "<z-angle> val"
         )
     return SingleObservation(
-        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared_error_changes=shared
+        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared_error_shifts=shared
     )
 
 
@@ -277,7 +277,7 @@ def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndShared
     for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
         target = child.name(name, "point")
         direction = SingleObservation(
-            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
+            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_shifts=errors
         )
         network.observations.append(direction)
 
@@ -330,7 +330,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
     drop_height_dependent_observations(network)
     gauge, observed = split_reference_lengths(network)
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(observed, network.file.name)
+        pointings_from_observations(observed, network.file.name)
     )
     reason = "are not read, because a recording cannot contain them"
     skipped = [f"{n} elements <{safe_excerpt(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]

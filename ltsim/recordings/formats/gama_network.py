@@ -11,11 +11,11 @@ from pydantic import ValidationError
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.pointings import SingleObservation, name_with_number
+from ltsim.recordings.pointings import SingleObservation, numbered_name
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
+from ltsim.recordings.xml import BAND_MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
 
-FIXED_SIGMA_MM = 1e-4
+FIXED_COORDINATE_SIGMA_MM = 1e-4
 """Standard deviation [mm] that represents a fixed coordinate in the adjustment."""
 
 
@@ -31,7 +31,7 @@ class GamaPoint:
     """Axes along which the point takes part in the definition of the datum."""
     active_axes: str = ""
     """Axes along which the point is fixed or adjusted; along other axes it has no coordinate."""
-    sigma: float = FIXED_SIGMA_MM
+    sigma: float = FIXED_COORDINATE_SIGMA_MM
     """Standard deviation [mm] of the coordinates along the fixed axes."""
     covariance: tuple[float, ...] | None = None
     """Covariance xx, xy, xz, yy, yz, zz [mm^2] of the coordinates; None if not given."""
@@ -83,7 +83,7 @@ class GamaNetwork:
         `with_directions` is True if the observations include a set of directions.
         """
         self.n_direction_sets_by_point[point] += with_directions
-        name = name_with_number(point, max(self.n_direction_sets_by_point[point] - 1, 0))
+        name = numbered_name(point, max(self.n_direction_sets_by_point[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 
@@ -99,7 +99,7 @@ def drop_height_dependent_observations(network: GamaNetwork) -> None:
     observations = []
     for o in network.observations:
         in_plan = bool({network.point_of_station[o.station], o.target} & plan_points)
-        if not in_plan or o.kind == "azimuth" or o.is_horizontal:
+        if not in_plan or o.kind == "azimuth" or o.is_horizontal_distance:
             observations.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
     differences = [
         difference
@@ -129,7 +129,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
     A slope distance without heights is a reference length under two conditions: its station has no angles and no
     horizontal distances, and both ends are targets of stations that have angles or horizontal distances.
     """
-    stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal}
+    stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal_distance}
     targets = {o.target for o in network.observations if o.station in stations_with_angles}
     gauge, other_observations = [], []
     for o in network.observations:
@@ -139,7 +139,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
             or point == o.target
             or not {point, o.target} <= targets
             or any(o.heights)
-            or o.shared_error_changes
+            or o.shared_error_shifts
         ):
             other_observations.append(o)
         else:
@@ -155,7 +155,7 @@ def differences_with_distinct_names(differences: list[ReferenceDifference]) -> I
         number = counts[difference.label]
         counts[difference.label] += 1
         yield (
-            difference.model_copy(update={"name": name_with_number(difference.label, number)}) if number else difference
+            difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
         )
 
 
@@ -182,7 +182,7 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     size = band_matrix_value_count(matrix, n_rows, band)
     words = (matrix.element.text or "").split(maxsplit=size)
     if len(words) != size:
-        raise matrix.location.error(MATRIX_SIZE_MESSAGE)
+        raise matrix.location.error(BAND_MATRIX_SIZE_MESSAGE)
     return band_matrix_entries(matrix, n_rows, band, [matrix.location.number(word, "cov-mat") for word in words])
 
 

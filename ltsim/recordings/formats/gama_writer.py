@@ -11,7 +11,7 @@ from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
-from ltsim.recordings.formats.gama_network import FIXED_SIGMA_MM
+from ltsim.recordings.formats.gama_network import FIXED_COORDINATE_SIGMA_MM
 from ltsim.recordings.recording import SHARED_ERROR_COLUMN_PATTERN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
@@ -82,7 +82,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
         datum = target.datum or name in first_setup_points
         if target.known_mm is None:
             yield f'<point id={quoteattr(name)}{attributes} adj="{"XYZ" if datum else "xyz"}" />'
-        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_SIGMA_MM:
+        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_COORDINATE_SIGMA_MM:
             adjusted_axes = "".join(a for a in "xyz" if a not in target.known_axes)
             adjusted = f' adj="{adjusted_axes}"' if adjusted_axes else ""
             yield f'<point id={quoteattr(name)}{attributes} fix="{target.known_axes}"{adjusted} />'
@@ -124,7 +124,7 @@ def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
 def _observation_lines(recording: Recording) -> Iterator[str]:
     front, sigma = to_face(recording.readings, recording.face), recording.sigma()
     instrument, target_height = (h.tolist() for h in recording.heights())
-    is_horizontal = recording.is_horizontal
+    is_horizontal_distance = recording.is_horizontal_distance
     for s, station in enumerate(recording.stations):
         yield f"<obs from={quoteattr(_point_under_station(recording, station))}>"
         for i in np.flatnonzero(recording.station == s).tolist():
@@ -137,7 +137,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
             if np.isfinite(elevation):
                 yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CENTESIMAL_SECOND!r}" />'
             if np.isfinite(distance):
-                kind = "distance" if is_horizontal[i] else "s-distance"
+                kind = "distance" if is_horizontal_distance[i] else "s-distance"
                 yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
         yield "</obs>"
 

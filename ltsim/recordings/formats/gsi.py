@@ -28,9 +28,9 @@ _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 """Pattern of a word: index, information, sign, and 16 or 8 characters of data."""
 _PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 """Pattern of word 51, which contains the scale correction and the prism constant."""
-GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+GSI_LENGTH_FACTORS_BY_UNIT_CODE = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 """Factor from the data of a word to m, by the code of its unit (last character of the word's information)."""
-GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+GSI_ANGLE_FACTORS_BY_UNIT_CODE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
 """Factor from the data of a word to rad, by the code of its unit (last character of the word's information).
 
 Code 4 (degrees, minutes and seconds) has no factor, because its digits need a conversion.
@@ -80,11 +80,11 @@ class _GsiBlock:
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
-        if unit not in GSI_LENGTH_FACTORS:
+        if unit not in GSI_LENGTH_FACTORS_BY_UNIT_CODE:
             raise self.location.error(
                 f"found the unit code '{safe_excerpt(unit)}' of a length, expected 0, 1, 6, 7 or 8"
             )
-        return self._number(key) * GSI_LENGTH_FACTORS[unit]
+        return self._number(key) * GSI_LENGTH_FACTORS_BY_UNIT_CODE[unit]
 
     def angle(self, key: str) -> float:
         """Angle [rad] in the word with index `key`, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
@@ -98,9 +98,9 @@ class _GsiBlock:
             degrees, rest = divmod(abs(value), 1e5)
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
-        if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
+        if unit not in GSI_ANGLE_FACTORS_BY_UNIT_CODE and not np.isnan(value):
             raise self.location.error(f"found the unit code '{safe_excerpt(unit)}' of an angle, expected 2, 3, 4 or 5")
-        return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
+        return value * GSI_ANGLE_FACTORS_BY_UNIT_CODE.get(unit, NOT_MEASURED)
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -170,7 +170,7 @@ class _GsiFileProperties:
 
     def _add_block(self, block: _GsiBlock) -> None:
         """Update of the properties by the next block of the file."""
-        self.has_stations = self.has_stations or _is_station(block)
+        self.has_stations = self.has_stations or _is_station_block(block)
         self.has_directions = self.has_directions or block.has_words("21")
         self.has_staff_readings = self.has_staff_readings or block.has_words("33")
         if block.has_words("41", "42"):
@@ -203,7 +203,7 @@ class _GsiFileProperties:
         return None if self.has_stations else self.code_of_first_block_with_height or self.code_of_first_block_with_name
 
 
-def _is_station(block: _GsiBlock) -> bool:
+def _is_station_block(block: _GsiBlock) -> bool:
     """True for a block with the coordinates of a station."""
     return block.has_words("84", "85", "11") and not block.has_words("21")
 
@@ -211,7 +211,7 @@ def _is_station(block: _GsiBlock) -> bool:
 def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
     if block.has_words("41", "42") and block.name("41") == setup_code:
         field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
-    elif _is_station(block):
+    elif _is_station_block(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
         field_book.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
@@ -221,13 +221,13 @@ def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | No
 
 
 def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
-    is_horizontal = not block.has_words("31")
+    is_horizontal_distance = not block.has_words("31")
     field_book.add_pointing(
         block.name("11"),
         block.location,
-        distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),
+        distance=block.length("32" if is_horizontal_distance else "31", NOT_MEASURED),
         horizontal=block.angle("21"),
         zenith=block.angle("22"),
         height=block.length("87"),
-        is_horizontal=is_horizontal,
+        is_horizontal_distance=is_horizontal_distance,
     )

@@ -21,10 +21,10 @@ from ltsim.recordings.files import safe_excerpt, single_line_title
 from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_from_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.xml import XmlNode, parse_xml
 
-ROOT_ELEMENT = "oiProjectData"
+OPENINDY_ROOT_ELEMENT = "oiProjectData"
 """Root element of an OpenIndy project."""
 REQUIRED_QUANTITIES_BY_READING_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
@@ -39,7 +39,7 @@ SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_
 
 def recognises(path: Path, file_beginning: str) -> bool:
     """True if the file begins with the root element of an OpenIndy project."""
-    return f"<{ROOT_ELEMENT}" in file_beginning
+    return f"<{OPENINDY_ROOT_ELEMENT}" in file_beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -48,8 +48,8 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for malformed or unsafe XML, and for a reading without a required quantity.
     """
     root = parse_xml(path)
-    if root.tag != ROOT_ELEMENT:
-        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
+    if root.tag != OPENINDY_ROOT_ELEMENT:
+        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{OPENINDY_ROOT_ELEMENT}>", file=path)
     named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
     stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
     geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
@@ -63,7 +63,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     count_notes = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=single_line_title(root.get("name", path.stem)))
     recording = recording_from_pointings(pointings, setup, notes=count_notes, file=path)
-    return recording if has_all_sigma_columns(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
+    return (
+        recording
+        if has_all_sigma_columns(recording)
+        else recording.replace(notes=(ASSUMED_TRACKER_NOISE_NOTE, *recording.notes))
+    )
 
 
 def _parse_pointing(

@@ -22,11 +22,11 @@ from ltsim.recordings.recording import Recording
 
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
 """Pattern of the beginning of a header record; group 1 is the version of the format (20 or 33)."""
-FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
+FIELD_WIDTHS_BY_VERSION = {"20": (4, 10), "33": (16, 16)}
 """Number of characters of a name and of a number, by version of the format (SDR20 or SDR33)."""
-SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
+SDR_ANGLE_FACTORS_BY_UNIT_CODE = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
 """Factor to rad, by the code of the angle unit in the header record."""
-SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
+SDR_LENGTH_FACTORS_BY_UNIT_CODE = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
 """Factor to m, by the code of the length unit in the header record."""
 UNIT_CODES_SLICE = slice(40, 45)
 """Character positions of the unit codes in the header record."""
@@ -57,14 +57,19 @@ class _Dialect:
             )
         units = header[UNIT_CODES_SLICE].ljust(5, "1")
         for digit, units_of, what in (
-            (units[0], SDR_ANGLE_FACTORS, "angles"),
-            (units[1], SDR_LENGTH_FACTORS, "distances"),
+            (units[0], SDR_ANGLE_FACTORS_BY_UNIT_CODE, "angles"),
+            (units[1], SDR_LENGTH_FACTORS_BY_UNIT_CODE, "distances"),
         ):
             if digit not in units_of:
                 raise location.error(
                     f"found the unit '{safe_excerpt(digit)}' of {what}, expected one of {', '.join(units_of)}"
                 )
-        return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
+        return cls(
+            *FIELD_WIDTHS_BY_VERSION[match[1]],
+            SDR_ANGLE_FACTORS_BY_UNIT_CODE[units[0]],
+            SDR_LENGTH_FACTORS_BY_UNIT_CODE[units[1]],
+            units[4] != "2",
+        )
 
     def fields(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
         """Texts of the first `n_names` names in the record `line`, and of the `n_numbers` numbers after them."""

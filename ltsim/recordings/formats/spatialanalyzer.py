@@ -25,7 +25,7 @@ from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.interpretation import interpret_readings
 from ltsim.recordings.tables.pointing_table import PointingTable
@@ -43,7 +43,7 @@ SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevatio
 """Roles of the columns in the table of a set-up, in the notation of the option `--columns`."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that the table of a set-up must have, with their permitted units; None for a column without unit."""
-USED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
+USED_REPORT_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
 """Titles of the columns that are read from the table of a set-up; other columns are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 """Pattern of the heading of a table of observations."""
@@ -96,7 +96,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     names = _station_names(blocks)
     active_rows = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     report_notes, n_inactive = (
-        [NO_NOISE_NOTE],
+        [ASSUMED_TRACKER_NOISE_NOTE],
         sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, active_rows, strict=True)),
     )
     if n_inactive:
@@ -220,14 +220,14 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
 
 
 def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
-    """Table with the rows `sheet_rows` of the set-up `name`, reduced to the columns in `USED_COLUMNS`.
+    """Table with the rows `sheet_rows` of the set-up `name`, reduced to the columns in `USED_REPORT_COLUMNS`.
 
     Titles of columns with offsets of reflectors are changed to end with the unit.
     """
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
-        if word in USED_COLUMNS:
+        if word in USED_REPORT_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
     body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)

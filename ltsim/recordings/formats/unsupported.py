@@ -7,11 +7,13 @@ FIELD_BOOK_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
 """Advice for a field book of a total station in an unsupported format."""
-ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
+NUMERICAL_PROGRAM_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
 """Advice for a file of a numerical program, such as MATLAB."""
-DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
+METROLOGY_DATABASE_ADVICE = (
+    "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
+)
 """Advice for the database in which a metrology program stores its jobs."""
-WORKBOOKS_ADVICE = "save it as xlsx or CSV"
+UNSUPPORTED_WORKBOOK_ADVICE = "save it as xlsx or CSV"
 """Advice for a workbook in an unsupported format."""
 
 
@@ -54,12 +56,14 @@ UNSUPPORTED_FORMATS = (
         r"(?:M\s++\S[^\s-]*+-\S[^\s-]*+-\S++\s|DB\s++\S++[^\S\n]*+\n\s*+D[MN]\s)",
     ),
     _make_format("a field book in the format GEO (GeoEasy)", r"\s*+\{\s*+\d++\s[^}]*+\}\s*+\{\s*+\d++\s"),
-    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS_ADVICE),
-    _make_format("a JSON array", r"\s*+\[\s*+[\[{\d\"-]", ARRAYS_ADVICE),
-    _make_format("a JSON object", r"\s*+\{\s*+\"[^\"\n]*+\"\s*+:", ARRAYS_ADVICE),
-    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES_ADVICE),
-    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS_ADVICE),
-    _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS_ADVICE),
+    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a JSON array", r"\s*+\[\s*+[\[{\d\"-]", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a JSON object", r"\s*+\{\s*+\"[^\"\n]*+\"\s*+:", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", METROLOGY_DATABASE_ADVICE),
+    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", UNSUPPORTED_WORKBOOK_ADVICE),
+    _make_format(
+        "a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", UNSUPPORTED_WORKBOOK_ADVICE
+    ),
 )
 """Formats that cannot be read, in the order in which a file is tested for them. Their patterns need a time proportional
 to the length of the tested text."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ltsim.core.units import LENGTH_UNITS
-from ltsim.recordings.files import MAX_TEXT_LENGTH
+from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH
 from ltsim.recordings.tables.header import HEIGHT_ROLES, TableColumn, title_role, title_words_and_unit
 from ltsim.recordings.tables.sheets import SheetRow
 
@@ -45,7 +45,7 @@ class StationContext:
     def read_line(self, row: SheetRow) -> bool:
         """Update of station and heights by a line that is not a pointing; False if the line has neither."""
         line = " ".join(cell for cell in row.fields if cell).rstrip(" \t;,")
-        if len(line) > MAX_TEXT_LENGTH:
+        if len(line) > MAX_CELL_TEXT_LENGTH:
             return False
         rest, heights = _split_heights(line)
         station = self._station_name(rest)

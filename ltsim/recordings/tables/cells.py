@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER_PATTERN, is_number
+from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, NUMBER_PATTERN, is_number
 
 FACE_WORDS = (
     "1 1.0 i f1 face1 facei lage1 lagei 1st f front direct d l left links cl a",
@@ -26,7 +26,7 @@ ValueType = TypeVar("ValueType")
 """Type of a parsed cell."""
 DAY_DURATION = timedelta(days=1)
 """Duration of a day."""
-MAX_VALUE_LENGTH = 60
+MAX_VALUE_TEXT_LENGTH = 60
 """Largest number of characters of a cell that is tested as a number or an angle."""
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
 """Pattern of a symbol for degrees."""
@@ -111,10 +111,10 @@ def python_number_text(text: str) -> str:
     return text.replace(thousands_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
-_GROUPED_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+_GROUPED_NUMBER_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
 """Pattern of a number with separated groups of three digits, by their separator (point or comma)."""
 _COMMA_AND_POINT_PATTERN_BY_MARK = {
-    mark: re.compile(_GROUPED_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
+    mark: re.compile(_GROUPED_NUMBER_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
     for mark, other in (".,", ",.")
 }
 """Pattern of a number with comma and point, by the one that separates groups of three digits."""
@@ -143,7 +143,7 @@ def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object
 
 def is_numeric(text: str) -> bool:
     """True if the text of a cell is a number, or an angle in degrees, minutes and seconds."""
-    return len(text) <= MAX_VALUE_LENGTH and (
+    return len(text) <= MAX_VALUE_TEXT_LENGTH and (
         is_number(text)
         or is_number(python_number_text(text))
         or _parse_sexagesimal(text) is not None
@@ -154,7 +154,7 @@ def is_numeric(text: str) -> bool:
 def split_unit_symbol(text: str) -> tuple[str, str] | None:
     """Number and unit in a cell with a unit symbol (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); otherwise None."""
     text = text.strip()
-    if len(text) > MAX_VALUE_LENGTH or text[-1:].isdigit():
+    if len(text) > MAX_VALUE_TEXT_LENGTH or text[-1:].isdigit():
         return None
     centesimal_match = _CENTESIMAL_PATTERN.fullmatch(text)
     if centesimal_match is not None:
@@ -188,11 +188,11 @@ def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
     `thousands_separator` is the separator used in the sheet, '' for none.
     """
     text = text.strip()
-    if len(text) > MAX_VALUE_LENGTH:
+    if len(text) > MAX_VALUE_TEXT_LENGTH:
         return None
     digits = python_number_text(
         text.replace(thousands_separator, "")
-        if thousands_separator and _GROUPED_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
+        if thousands_separator and _GROUPED_NUMBER_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
         else text
     )
     return Decimal(digits) if is_number(digits) else None
@@ -201,7 +201,9 @@ def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Numbers (n,) in n cells, NaN for an empty cell; None if a cell is not a decimal number in ASCII."""
     joined_text = "".join(texts)
-    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _NUMBER_CHARACTERS_PATTERN.fullmatch(joined_text):
+    if max(map(len, texts), default=0) > MAX_NUMBER_TEXT_LENGTH or not _NUMBER_CHARACTERS_PATTERN.fullmatch(
+        joined_text
+    ):
         return None
     if "e" in joined_text.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
         return None
@@ -233,7 +235,7 @@ def parse_packed_degrees(text: str) -> Decimal | None:
 
     Degrees, minutes and seconds with symbols are accepted too. None for any other cell.
     """
-    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
+    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_TEXT_LENGTH else None
     if match is None:
         return _parse_sexagesimal(text)
     sign, degrees, rest = match.groups(default="")
@@ -243,7 +245,7 @@ def parse_packed_degrees(text: str) -> Decimal | None:
 
 def _parse_sexagesimal(text: str) -> Decimal | None:
     """Degrees from a cell with degrees, minutes and possibly seconds; None for any other cell."""
-    if len(text) > MAX_VALUE_LENGTH:
+    if len(text) > MAX_VALUE_TEXT_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
     match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _DEGREES_AND_MINUTES_PATTERN.fullmatch(text)

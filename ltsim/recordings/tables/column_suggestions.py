@@ -25,7 +25,7 @@ MAX_TRIED_ASSIGNMENTS = 20
 """Largest number of proposals that are tested by reading the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
 """Largest number of cells, in the first rows of a table, from which proposals are derived."""
-MAX_LENGTH_IN_METRES = MIN_LONGEST_DISTANCE_MM
+MAX_LENGTH_READ_AS_METRES = MIN_LONGEST_DISTANCE_MM
 """Number below which the largest distance or coordinate is probably in metres, and otherwise in millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""
@@ -137,7 +137,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
     ]
     axes = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else number_columns[:3]
-    unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_IN_METRES else "mm"
+    unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_READ_AS_METRES else "mm"
     coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
     is_polar = any(_has_sexagesimal_cells(columns[i]) for i in number_columns)
     is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
@@ -214,7 +214,7 @@ def _distance_assignments(
     lengths = []
     for i in candidates[:1]:
         title_unit = title_words_and_unit(titles[i])[1]
-        metres = _is_sexagesimal(angle, columns) or _largest_magnitude(columns[i]) < MAX_LENGTH_IN_METRES
+        metres = _is_sexagesimal(angle, columns) or _largest_magnitude(columns[i]) < MAX_LENGTH_READ_AS_METRES
         unit = title_unit if title_unit in LENGTH_UNITS else "m" if metres else "mm"
         lengths.append([f"{role}={titles[i]}[{unit}]"])
     return lengths

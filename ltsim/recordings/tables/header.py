@@ -106,7 +106,7 @@ _VALUE_ENDING_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 """Pattern of a title that ends with a word for a measured value, such as "reading"."""
 _NUMBER_ENDING_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
 """Pattern of a title that ends with a word for a number or a name, such as "no"."""
-NUMBERED_ROLES = ("station", "round")
+ROLES_WITH_NUMBER_ENDINGS = ("station", "round")
 """Roles whose titles may end with a word for a number or a name, as in "station no". The corresponding titles of
 targets and instruments are listed separately."""
 
@@ -346,7 +346,7 @@ def title_role(name: str) -> str:
     if value_match is not None and value_match[1] in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[value_match[1]]
     number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
-    if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in NUMBERED_ROLES:
+    if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in ROLES_WITH_NUMBER_ENDINGS:
         return ROLE_BY_TITLE[number_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")

@@ -37,7 +37,7 @@ from ltsim.recordings.conventions import (
     angle_convention,
     azimuth_sense_from_points,
     azimuth_sense_from_poses,
-    length_unit_from_size,
+    distance_unit_from_size,
 )
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import SIGMA_COLUMNS
@@ -70,7 +70,7 @@ needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
 """Median distance [m] between the coordinates of a target from two set-ups, below which the coordinates are already in
 one common frame."""
-COORDINATES_NOTE = (
+CONVERTED_COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "is that of single readings in both faces"
 )
@@ -78,7 +78,7 @@ COORDINATES_NOTE = (
 
 
 @dataclass(frozen=True)
-class ColumnInterpretation:
+class TableConventions:
     """Conventions of a table: units of directions, vertical angles and lengths, kind of vertical angle, azimuth sense.
 
     `notes` are sentences for the user on how each convention was decided.
@@ -132,7 +132,7 @@ class ColumnInterpretation:
 
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
-) -> tuple[ColumnInterpretation, Floats]:
+) -> tuple[TableConventions, Floats]:
     """Conventions of a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
 
     `poses` are approximate poses by index of the station; they can decide the sense of the circle. Raises RecordError,
@@ -154,7 +154,7 @@ def interpret_readings(
     )
     units, vertical, notes = _angle_conventions(columns, unit_by_kind, polar, hints, file)
     length, length_notes = _length_convention(unit_by_kind["distance"], polar, table, hints, file)
-    interpretation = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
+    interpretation = TableConventions(*units, length, vertical, "counter-clockwise")
     azimuth_sense, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
     all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
     interpretation = replace(interpretation, azimuth_sense=azimuth_sense, notes=all_notes)
@@ -232,7 +232,7 @@ def _length_convention(
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not MIN_LONGEST_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
-        return length_unit_from_size(polar.distance, hints)
+        return distance_unit_from_size(polar.distance, hints)
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
@@ -253,7 +253,7 @@ def _length_convention(
 
 def _azimuth_sense(
     table: PointingTable,
-    interpretation: ColumnInterpretation,
+    interpretation: TableConventions,
     polar: PolarReadings,
     poses: Mapping[int, StationPoseArrays],
     hints: Hints,
@@ -290,7 +290,7 @@ def _azimuth_sense(
     raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
 
 
-def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
+def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[TableConventions, Floats]:
     """Conventions of a table of n measured points, and readings (n, 3) [m, rad, rad] in face 1 computed from them.
 
     Raises RecordError for a missing coordinate, and if coordinates from several set-ups are in one frame.
@@ -306,7 +306,7 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     length_unit = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length_unit:
-        length_unit, notes = length_unit_from_size(np.linalg.norm(coordinates, axis=1), hints)
+        length_unit, notes = distance_unit_from_size(np.linalg.norm(coordinates, axis=1), hints)
     readings = to_polar(coordinates * SI_PER_UNIT[length_unit])
     coincident_rows = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(coincident_rows):
@@ -314,8 +314,8 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
             "the point coincides with the instrument, expected another point"
         )
     _require_separate_frames(table, coordinates * SI_PER_UNIT[length_unit], file)
-    return ColumnInterpretation(
-        "rad", "rad", length_unit, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
+    return TableConventions(
+        "rad", "rad", length_unit, "elevation", "counter-clockwise", (*notes, CONVERTED_COORDINATES_NOTE)
     ), readings
 
 

@@ -27,7 +27,7 @@ ValueType = TypeVar("ValueType")
 MAX_EXACT_FLOAT_PRODUCT = 2**51
 """Magnitude below which a floating-point product is rounded to the correct integer; larger products are computed with
 integers of Python."""
-MAX_ANGLE_SUM = 720.0
+MAX_ANGLE_SUM_DEG = 720.0
 """Largest magnitude [deg] of a sum of angles in a conversion; the integers of exact conversions need digits for it."""
 ROWS_PER_BATCH = 8192
 """Number of rows that are converted at a time, to limit the memory."""
@@ -78,7 +78,7 @@ def _scaled_integers(digits: DigitTexts, n_decimals: int, multiplier: int, unit:
     represents 1.0 after the multiplication.
     """
     numbers = to_floats(digits)
-    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_FLOAT_PRODUCT:
+    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM_DEG)) < MAX_EXACT_FLOAT_PRODUCT:
         return np.rint(numbers * 10**n_decimals).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         integers = [int(number.scaleb(n_decimals)) * multiplier for number in to_decimals(digits) if number is not None]

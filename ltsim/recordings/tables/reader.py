@@ -9,10 +9,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import to_face
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
+from ltsim.recordings.conventions import NO_HINTS, Hints, floor_plan_poses
 from ltsim.recordings.curvature import with_earth_curvature
-from ltsim.recordings.files import MAX_TEXT_LENGTH, safe_excerpt
-from ltsim.recordings.occupations import check_centring
+from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, safe_excerpt
+from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, has_all_sigma_columns, recording_from_columns
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
@@ -21,15 +21,20 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     Recording,
 )
-from ltsim.recordings.resolution import FOOT_DISPLAY_STEPS, LENGTH_DISPLAY_STEPS, default_total_station, reading_step
+from ltsim.recordings.resolution import (
+    FOOT_DISPLAY_STEPS,
+    LENGTH_DISPLAY_STEPS,
+    display_step_of_readings,
+    total_station_with_assumed_noise,
+)
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
 from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import covariates_with_instrument_heights
-from ltsim.recordings.tables.interpretation import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
+from ltsim.recordings.tables.interpretation import TableConventions, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
@@ -41,14 +46,20 @@ from ltsim.recordings.tables.setups import (
     unapplied_heights_notes,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
+from ltsim.recordings.tables.sheets import (
+    TABLE_SUFFIXES,
+    ZIP_SIGNATURE,
+    is_table_folder,
+    read_sheets,
+    rows_of_file_beginning,
+)
 from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists."""
-HEAD_HEIGHT_SIGMA_MM = 1.0
+DEFAULT_HEAD_HEIGHT_SIGMA_MM = 1.0
 """Assumed standard deviation [mm] of the height of a tracker head above its survey mark, for tables whose heights are
 not applied because the readings refer to the heads."""
 
@@ -61,7 +72,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
         return path.suffix.lower() == ".xlsx"
     if "\x00" in file_beginning[2:] or file_beginning.lstrip()[:1] in ("<", "{"):
         return False
-    first_rows = head_rows(
+    first_rows = rows_of_file_beginning(
         file_beginning if file_beginning.endswith("\n") else "\n".join(file_beginning.splitlines()[:-1])
     )  # the last may be cut
     headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
@@ -82,28 +93,30 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     table.notes += name_notes
     table.mark_by_setup = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
-    poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
+    poses = floor_plan_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_single_unnamed_setup(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
-        if not hints.incomplete_tail:
-            check_centring(recording, _setup_path(path, hints))
+        if not hints.is_growing:
+            check_centring_tables(recording, _setup_path(path, hints))
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
     reason = total_station_reason(table, interpretation, readings)
-    instrument, noise = default_total_station(readings, reason) if reason else (Instrument(), NO_NOISE_NOTE)
+    instrument, noise = (
+        total_station_with_assumed_noise(readings, reason) if reason else (Instrument(), ASSUMED_TRACKER_NOISE_NOTE)
+    )
     air = NO_AIR_UNCERTAINTY if reason else None
-    setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
+    setup = Setup(title=path.stem[:MAX_CELL_TEXT_LENGTH], instrument=instrument, air=air)
     recording = assemble_recording(table, interpretation, readings, setup, hints, path)
     return recording if has_all_sigma_columns(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assemble_recording(
-    table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
+    table: PointingTable, interpretation: TableConventions, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """Recording from a table of n pointings and their readings (n, 3) [m, rad, rad], in the order of the table.
 
@@ -128,7 +141,7 @@ def assemble_recording(
     if unapplied_notes:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
-        sigma_mm = setup.height_above_mark_sigma_mm or HEAD_HEIGHT_SIGMA_MM
+        sigma_mm = setup.height_above_mark_sigma_mm or DEFAULT_HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
@@ -208,7 +221,7 @@ def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], 
 
 
 def _additional_columns(
-    table: PointingTable, interpretation: ColumnInterpretation
+    table: PointingTable, interpretation: TableConventions
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Covariates (columns of numbers) by name, labels (columns of texts) by name, and notes.
 
@@ -244,7 +257,7 @@ def _additional_columns(
     )
 
 
-def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
+def _unit_reason(role: str, unit: str, interpretation: TableConventions) -> str:
     """Reason, as the end of a note, why a column without declared unit has this `unit`."""
     of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
     return (
@@ -253,7 +266,7 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 
 
 def _covariate_values(
-    column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
+    column: TableColumn, pointings: UnconvertedPointings, interpretation: TableConventions
 ) -> tuple[Floats, str] | None:
     """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None for texts.
 
@@ -297,10 +310,10 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 
 MAX_TRACKER_RANGE_M = 160.0
 """Range [m] above which the readings are from a total station, because data sheets of trackers give 80 to 160 m."""
-MIN_TOTAL_STATION_DIGIT_M = 0.5e-4
+MIN_LAST_DIGIT_OF_TOTAL_STATION_M = 0.5e-4
 """Value [m] of the last digit of ranges from which on the readings are from a total station, because trackers give
 micrometres."""
-MIN_DISPLAYED_DIGIT_M = 0.5e-9
+MIN_DISPLAYED_LAST_DIGIT_M = 0.5e-9
 """Value [m] of the last digit of ranges below which the digits come from a computation, not from the display of an
 instrument."""
 
@@ -309,7 +322,7 @@ MIN_RANGES_FOR_RESOLUTION = 6
 """
 
 
-def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
+def total_station_reason(table: PointingTable, interpretation: TableConventions, readings: Floats) -> str:
     """Reason, as text, why a table is from a total station; empty if it may be from a laser tracker.
 
     Heights above survey marks are not sufficient, because trackers are set up over marks too.
@@ -329,10 +342,13 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
         return ""
     digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
     digit = max(
-        digit, reading_step(ranges, FOOT_DISPLAY_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_DISPLAY_STEPS)
+        digit,
+        display_step_of_readings(
+            ranges, FOOT_DISPLAY_STEPS if digit > MIN_DISPLAYED_LAST_DIGIT_M else LENGTH_DISPLAY_STEPS
+        ),
     )
-    if digit > MIN_TOTAL_STATION_DIGIT_M:
+    if digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
-    if table.column(("instrument_height_mm",)) is not None and digit > MIN_TOTAL_STATION_DIGIT_M / 10:
+    if table.column(("instrument_height_mm",)) is not None and digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""

@@ -8,7 +8,7 @@ from sys import intern
 
 import numpy as np
 
-from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, safe_excerpt
+from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
@@ -180,7 +180,7 @@ class RowBatchReader:
             not joined_text.isprintable()
             or "<" in joined_text
             or ">" in joined_text
-            or max(map(len, distinct)) > MAX_TEXT_LENGTH
+            or max(map(len, distinct)) > MAX_CELL_TEXT_LENGTH
         ):
             for text, line in zip(texts, lines, strict=True):
                 self._source_location(line).text(text)

@@ -185,7 +185,7 @@ class _SheetReader:
                 self._process_line_without_pointing(row)
             elif i < last_index or not self.sheet.has_incomplete_end:
                 self._add_pointing(row)
-            elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
+            elif not self.hints.is_growing:  # otherwise it may not be whole yet
                 self._convert_rows()
                 self.sheet.require_complete_end(len(self.header), requires_line_break=self.table.is_positional)
                 self._add_pointing(row)

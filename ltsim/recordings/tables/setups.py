@@ -16,7 +16,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
-from ltsim.recordings.pointings import name_with_number
+from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
@@ -27,7 +27,7 @@ SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
 """Differences of spelling between two names of one point, as text for notes."""
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names in a note on set-ups."""
-OCCUPATION_TEXT_BY_ROLE = (
+OCCUPATION_NAMES_BY_ROLE = (
     ("instrument_setup", "set-up"),
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
@@ -42,10 +42,10 @@ applied."""
 MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS = 0.5
 """Ratio of the misclosure of lines measured in both directions without heights above survey marks to that with them,
 below which the heights are not applied. Correct heights would reduce the misclosure."""
-MIN_CIRCLE_ROTATION = 1e-3
+MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS = 1e-3
 """Median difference [rad] between the directions of two rounds to common targets, above which the circle was rotated.
 """
-MIN_ROTATION_SIGMAS = 6.0
+MIN_CIRCLE_ROTATION_SIGMAS = 6.0
 """Median difference between the directions of two rounds to common targets, in standard deviations, above which the
 circle was rotated."""
 MAX_MISCLOSURE_WITHOUT_HEIGHTS_M = 0.2
@@ -193,7 +193,7 @@ def split_occupations(
     counts: Counter[str] = Counter()
     names: list[str] = []
     for station, *_ in distinct:
-        names.append(name_with_number(station, counts[station]))
+        names.append(numbered_name(station, counts[station]))
         counts[station] += 1
     table.mark_by_setup = {
         name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
@@ -201,7 +201,7 @@ def split_occupations(
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        column_name = next((name for role, name in OCCUPATION_TEXT_BY_ROLE if table.column((role,)) is not None), "")
+        column_name = next((name for role, name in OCCUPATION_NAMES_BY_ROLE if table.column((role,)) is not None), "")
         occupations_text = f"{len(occupations)} occupations of {len(marks)} marks"
         notes.append(f"{occupations_text}, distinguished by {column_name}, are separate set-ups")
     if is_rotated:
@@ -256,7 +256,8 @@ def _has_rotated_circle(
 
     `occupation_index` and `round_index` (n,) number the occupation and the round of each of n pointings. `azimuth` (n,)
     and its standard deviation `sigma` (n,) are in rad. The median difference, which a single outlier does not change,
-    is compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` standard deviations if this is smaller.
+    is compared with the smaller limit: `MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS`, or `MIN_CIRCLE_ROTATION_SIGMAS` standard
+    deviations.
     """
     pointings = table.pointings
     first_reading: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -271,8 +272,8 @@ def _has_rotated_circle(
             differences.setdefault(key, []).append((difference, np.hypot(noise, before_noise)))
     for pairs in differences.values():
         difference, noise = np.median(np.array(pairs), axis=0).tolist()
-        limit = MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise
-        if abs(difference) > min(MIN_CIRCLE_ROTATION, limit):
+        limit = MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS if np.isnan(noise) else MIN_CIRCLE_ROTATION_SIGMAS * noise
+        if abs(difference) > min(MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS, limit):
             return True
     return False
 

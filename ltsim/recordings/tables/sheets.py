@@ -27,7 +27,7 @@ from ltsim.core.limits import (
 )
 from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
 from ltsim.recordings.tables.cells import detect_thousands_separator, is_numeric
-from ltsim.recordings.tables.workbook_archive import checked_archive
+from ltsim.recordings.tables.workbook_archive import checked_workbook_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 """Suffixes of the names of files that may be tables."""
@@ -204,7 +204,7 @@ def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
 
-def head_rows(file_beginning: str) -> list[SheetRow]:
+def rows_of_file_beginning(file_beginning: str) -> list[SheetRow]:
     """First rows, with comments, of a file that begins with the text `file_beginning`; they show its format."""
     lines = [line for line in file_beginning.splitlines() if line.strip()]
     separator = _detect_separator(lines)
@@ -286,7 +286,8 @@ def read_small_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, s
 def _read_workbook(file: Path) -> list[TableSheet]:
     """Sheets of a workbook (xlsx), with their names, that are not empty; raises RecordError."""
     sheets = [
-        TableSheet(file, tuple(_workbook_row(*line) for line in cells), name) for name, cells in workbook_cells(file)
+        TableSheet(file, tuple(_workbook_row(*line) for line in cells), name)
+        for name, cells in workbook_rows_by_sheet(file)
     ]
     for row in chain.from_iterable(sheet.rows for sheet in sheets):
         _require_few_fields(row.fields, row.line, file)
@@ -305,7 +306,7 @@ WorkbookRow = tuple[int, list[str]]
 """Number of a row (from 1), and its cells up to the last one that is not empty."""
 
 
-def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
+def workbook_rows_by_sheet(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Name of each sheet of a workbook, with the rows that are not empty.
 
     Raises RecordError for a file that is not a workbook, is damaged or exceeds a limit, and if the library that reads
@@ -318,7 +319,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(message, file=file) from None
     packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        checked = checked_archive(file, packed)
+        checked = checked_workbook_archive(file, packed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
             book = load_workbook(checked, read_only=True, data_only=True, keep_links=False)

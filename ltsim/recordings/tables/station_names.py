@@ -11,7 +11,7 @@ from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
-MAX_RANGE_AND_ELEVATION_SPREAD = (0.1, 0.02)
+MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP = (0.1, 0.02)
 """Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
 names has several set-ups. Reflectors, faces and drifts cause smaller differences, different positions larger ones (0.02
 rad is 0.1 m at 5 m)."""
@@ -38,7 +38,7 @@ def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: o
     targets = distinct_with_indices(table.pointings.target)[1]
     elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
     for values, limit, unit in zip(
-        (readings[:, 0], elevation), MAX_RANGE_AND_ELEVATION_SPREAD, ("m", "rad"), strict=True
+        (readings[:, 0], elevation), MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP, ("m", "rad"), strict=True
     ):
         spread = _median_spread(values, targets)
         if spread <= limit:
@@ -73,7 +73,7 @@ def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[
     """
     sights, groups = distinct_with_indices(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)
-    if spread <= MAX_RANGE_AND_ELEVATION_SPREAD[0]:
+    if spread <= MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP[0]:
         return []
     finite = np.isfinite(readings[:, 0])
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)

@@ -26,7 +26,7 @@ MIN_COINCIDENT_POSITIONS = 3
 """Smallest number of positions with several targets that a note reports."""
 MAX_COINCIDENT_NAMES_IN_NOTE = 4
 """Largest number of names of targets at one position in a note."""
-UNNAMED_TARGET = "pose"
+PLACEHOLDER_TARGET_NAME = "pose"
 """Temporary name of all targets of a table without point names, until their positions are computed and numbered."""
 
 
@@ -35,7 +35,7 @@ class UnnamedTargetsError(RecordError):
 
 
 def with_placeholder_target_name(table: PointingTable, hints: Hints, file: object) -> PointingTable:
-    """Table in which all rows have the target name `UNNAMED_TARGET`, if no row names its target; changed in place.
+    """Table with the target name `PLACEHOLDER_TARGET_NAME` in all rows, if no row names its target; changed in place.
 
     Raises UnnamedTargetsError for several set-ups, because their common targets are then unknown. Raises it also if a
     column may contain the names of targets, unless the hints name the station.
@@ -54,7 +54,7 @@ def with_placeholder_target_name(table: PointingTable, hints: Hints, file: objec
             "station=NAME if one target moved and one set-up measured it"
         )
         raise UnnamedTargetsError(message, file=file)
-    pointings.target = [UNNAMED_TARGET] * len(pointings)
+    pointings.target = [PLACEHOLDER_TARGET_NAME] * len(pointings)
     table.has_unnamed_targets = True
     return table
 
@@ -87,7 +87,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     n_positions = int(position_numbers.max()) + 1
     if is_named and n_positions < MIN_ROWS_OF_MOVING_TARGET:
         return table
-    table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in position_numbers.tolist()]
+    table.pointings.target = [f"{PLACEHOLDER_TARGET_NAME}-{place + 1}" for place in position_numbers.tolist()]
     naming_text = f"has one name ('{safe_excerpt(names.pop())}') for all of its rows" if is_named else "names no points"
     table.notes.append(
         f"the table {naming_text}: its {len(position_numbers)} rows are {n_positions} positions of a target that moves "

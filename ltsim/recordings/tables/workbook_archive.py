@@ -11,7 +11,7 @@ from ltsim.core.limits import BYTES_PER_MIB, MAX_WORKBOOK_BYTES, MAX_WORKBOOK_PA
 from ltsim.recordings.xml import check_workbook_xml
 
 
-def checked_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
+def checked_workbook_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
     """New archive with the parts of a workbook, after checks of their number, unpacked size and XML; or RecordError.
 
     The parts are packed again, because the library would unpack them without regard to the declared size.

@@ -157,7 +157,7 @@ def exactly_vertical(recording: Recording) -> Recording:
 
 def without_angles(recording: Recording) -> Recording:
     """The recording without the angles of its pointings along the vertical axis."""
-    return recording.with_readings(np.where(recording.is_usable, recording.readings, np.nan))
+    return recording.with_readings(np.where(recording.is_usable_reading, recording.readings, np.nan))
 
 
 AXES = {
@@ -199,7 +199,9 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     once = along_axes(recording, state.target_points, 2.0, (1,)).select(recording.station == 1)
     twice = once.select(np.tile(np.arange(len(once)), 2))
     face, count = np.repeat([1, 2], len(once)), len(twice)
-    noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.is_usable, twice.sigma(), 1e-6)
+    noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(
+        twice.is_usable_reading, twice.sigma(), 1e-6
+    )
     readings = to_face(twice.readings, face) + noise
     twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
     turned = np.where(twice.is_along_standing_axis[:, None] & [False, True, False], 1.0 + face[:, None], readings)
