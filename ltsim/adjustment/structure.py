@@ -311,7 +311,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     if (
         has_scale
         or control_axes[:, : 3 if has_height else 2].any()
-        or (has_height and any(height.any() for height in recording.heights()))
+        or (has_height and any(height.any() for height in recording.heights_above_marks()))
     ):
         return False
     targets = map(recording.target_setup, recording.targets)

@@ -298,7 +298,7 @@ def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: boo
     The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` is
     empty, it equals the error without a model.
     """
-    nominal = state.recording.sigma()
+    nominal = state.recording.reading_sigmas()
     space, seed = state.searcher.space, state.seed
     if (state.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(state.refit((), np.maximum(state.reading_sigmas, nominal)).adjustment)

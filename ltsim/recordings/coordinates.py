@@ -81,7 +81,7 @@ class PointList:
     """Largest distance [m] between an ignored row and the first row with its name."""
 
     @property
-    def sigma(self) -> Floats:
+    def coordinate_sigmas(self) -> Floats:
         """Standard deviations (n, 3) [m] of the coordinates of the n points; NaN if not given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
@@ -221,7 +221,7 @@ class _PointRowReader:
                     f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)
                 )
             coordinates.append(np.nan if number is None else float(number))
-        return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
+        return where.checked_name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factors (k,) that convert k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
@@ -312,13 +312,13 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
-    point_cells = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
-    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in point_cells}
+    entries = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
+    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in entries}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
         raise RecordError("contains points with different axes (xy, xyz); give points with the same axes", file=path)
-    points = np.zeros((len(point_cells), 3))
+    points = np.zeros((len(entries), 3))
     points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
-        [_parse_number(row[axis]) for axis in axes] for row in point_cells
+        [_parse_number(row[axis]) for axis in axes] for row in entries
     ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
@@ -326,17 +326,17 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    if size < (n_used := len(point_cells) * len(axes)):
+    if size < (n_used := len(entries) * len(axes)):
         raise RecordError(f"contains a <cov-mat> that is smaller than its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""
-    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in point_cells)
+    names = tuple(SourceLocation(path).checked_name(row["id"].text if "id" in row else "", "target") for row in entries)
     return EpochCoordinates(title or path.name, names, axes, points, matrix[:n_used, :n_used] * MILLIMETRE**2)
 
 
 def _parse_number(cell: XmlNode) -> float:
-    return cell.location.number(cell.text, f"<{cell.tag}>")
+    return cell.location.parse_number(cell.text, f"<{cell.tag}>")
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
@@ -392,7 +392,7 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("contains rows with more or fewer cells than the header", file=path)
-    matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
+    matrix = np.array([[SourceLocation(path, row.line).parse_number(text) for text in row.fields[1:]] for row in body])
     sigma = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
         raise RecordError("contains a matrix that is not symmetric", file=path)

@@ -29,7 +29,9 @@ def with_earth_curvature(recording: Recording) -> Recording:
     if "curved" in setup.model_fields_set or not is_levelled.any():
         return recording
     horizontal_length = np.where(is_levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
-    angle_in_sigmas = float(np.nanmax(horizontal_length / (2.0 * EARTH_RADIUS) / recording.sigma()[:, 2], initial=0.0))
+    angle_in_sigmas = float(
+        np.nanmax(horizontal_length / (2.0 * EARTH_RADIUS) / recording.reading_sigmas()[:, 2], initial=0.0)
+    )
     if not angle_in_sigmas > MIN_CURVATURE_ANGLE_SIGMAS:
         return recording
     setup_changes: dict[str, object] = {"curved": True}

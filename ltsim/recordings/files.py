@@ -152,7 +152,7 @@ class SourceLocation:
         """RecordError with `message` that names this location; the caller raises it."""
         return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
 
-    def number(
+    def parse_number(
         self, text: str, column: str | None = None, *, limit: float = 1e12, allows_decimal_comma: bool = False
     ) -> float:
         """Number in `text`, at most `limit` in magnitude; `allows_decimal_comma` also permits a decimal comma.
@@ -169,7 +169,7 @@ class SourceLocation:
             raise self.error(f"found {safe_excerpt(text)}, expected a number of at most {limit:g} in magnitude", column)
         return value
 
-    def name(self, name: str, kind: str, column: str | None = None) -> str:
+    def checked_name(self, name: str, kind: str, column: str | None = None) -> str:
         """Unchanged `name`, checked as the name of a station, target or instrument (`kind`); raises RecordError.
 
         Names occur in tables, reports and paths. Therefore control characters, markup and path separators are refused.
@@ -190,7 +190,7 @@ class SourceLocation:
             raise self.error(f"the name of a {kind}, '{safe_excerpt(name)}', {reason}", column)
         return name
 
-    def text(self, text: str, column: str | None = None) -> str:
+    def checked_text(self, text: str, column: str | None = None) -> str:
         """Unchanged `text`, checked to be a short line without control characters and markup; raises RecordError."""
         has_markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_CELL_TEXT_LENGTH or has_markup:
@@ -205,7 +205,7 @@ class SourceLocation:
 
 def parse_comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
     """Finite number in a text with a decimal point or comma; `file`, `row` and `column` are named in errors."""
-    return SourceLocation(file, row, column).number(text, allows_decimal_comma=True)
+    return SourceLocation(file, row, column).parse_number(text, allows_decimal_comma=True)
 
 
 def single_line_title(text: str) -> str:

@@ -186,7 +186,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
     if any(";" in name or "\t" in name for name in header):
         raise location.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
-        location.text(name)
+        location.checked_text(name)
         if not name:
             raise location.error(f"column {i + 1} has no name")
         if name in header[:i]:
@@ -231,7 +231,7 @@ def _float_column(column: list[str], location: SourceLocation, *, is_optional: b
             return numbers
     for i in filled_rows:  # to name the first that is wrong
         cell = replace(location, row=i + 1)
-        numbers[i] = cell.number(column[i], limit=1e15)
+        numbers[i] = cell.parse_number(column[i], limit=1e15)
         if not low <= numbers[i] <= high:
             hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
             raise cell.error(f"found {safe_excerpt(column[i])}, expected a value from {low:g} to {high:g}{hint}")
@@ -254,7 +254,7 @@ def _additional_columns(
             continue
         for i, text in enumerate(column):
             where = SourceLocation(file, i + 1, name)
-            where.text(text)
+            where.checked_text(text)
             if name in ENUMERATED_COLUMNS and text not in ENUMERATED_COLUMNS[name]:
                 raise where.error(
                     f"found '{safe_excerpt(text)}', expected {' or '.join(filter(None, ENUMERATED_COLUMNS[name]))}"

@@ -85,7 +85,7 @@ def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[st
     index = []
     for row, name in enumerate(names):
         if name not in index_by_name:
-            index_by_name[SourceLocation(file, row + 1).name(name, kind, kind)] = len(index_by_name)
+            index_by_name[SourceLocation(file, row + 1).checked_name(name, kind, kind)] = len(index_by_name)
         index.append(index_by_name[name])
     return tuple(index_by_name), np.array(index, dtype=np.int64)
 
@@ -144,7 +144,7 @@ def recording_from_columns(
         raise RecordError("the row contains no reading", file=file, row=int(empty_rows[0]) + 1)
     for texts in columns.labels.values():
         for text in dict.fromkeys(texts):
-            SourceLocation(file).text(text)
+            SourceLocation(file).checked_text(text)
     has_clock = bool(np.all(np.isfinite(columns.time)))
     return Recording(
         setup=recording_setup,

@@ -228,7 +228,7 @@ class Recording(Result):
         """Reference lengths of the set-up with their temperatures; a gauge without lengths if none are declared."""
         return self.setup.gauge or LengthGauge()
 
-    def sigma(self) -> Floats:
+    def reading_sigmas(self) -> Floats:
         """Declared standard deviations (n, 3) [m, rad, rad] of the ranges, azimuths and elevations of n pointings.
 
         A value in the columns `SIGMA_COLUMNS` replaces the noise of the instrument. The standard deviation of an
@@ -243,7 +243,7 @@ class Recording(Result):
                 sigma[:, column] = np.where(np.isfinite(column_sigma), column_sigma, sigma[:, column])
         return sigma
 
-    def heights(self) -> tuple[Floats, Floats]:
+    def heights_above_marks(self) -> tuple[Floats, Floats]:
         """Heights [m] above survey marks of the instrument (n,) and of the reflector (n,) in each of n pointings."""
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]

@@ -84,7 +84,7 @@ class ReferenceLengths:
         )
 
     @property
-    def sigma(self) -> Floats:
+    def total_sigmas(self) -> Floats:
         """Total standard deviation (g,) [m] of each of g lengths: independent and shared errors together."""
         return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_shifts.values()))
 

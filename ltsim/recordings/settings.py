@@ -197,7 +197,7 @@ def _check_setup_names(setup: Setup, file: object) -> None:
         ("reflector", setup.reflectors),
     ):
         for name in names:
-            SourceLocation(file).name(name, kind)
+            SourceLocation(file).checked_name(name, kind)
     for name, station in setup.stations.items():
         instrument_name = station.instrument
         if instrument_name is not None and instrument_name not in setup.instruments:

@@ -82,7 +82,7 @@ def _readings_text(recording: Recording) -> str:
 
 def _heights_text(recording: Recording) -> str:
     """Text on the heights of instruments and targets above survey marks; empty without heights."""
-    instrument, target = recording.heights()
+    instrument, target = recording.heights_above_marks()
     if not instrument.any() and not target.any():
         given = recording.setup.height_above_mark_sigma_mm
         return "none" if given is None else f"of the heads over their marks: not applied, sigma {given:g} mm"

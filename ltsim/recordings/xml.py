@@ -176,7 +176,7 @@ class XmlNode:
         """Text of the element on one line."""
         return " ".join((self.element.text or "").split())
 
-    def get(self, name: str, default: str = "") -> str:
+    def attribute(self, name: str, default: str = "") -> str:
         """Value of an attribute without surrounding blanks; `default` if the attribute is missing."""
         return self.element.get(name, default).strip()
 
@@ -187,20 +187,22 @@ class XmlNode:
         """Value of a required attribute; raises RecordError if the attribute is missing."""
         if name not in self:
             raise self.location.error(f"<{safe_excerpt(self.tag)}> lacks the attribute {name}")
-        return self.get(name)
+        return self.attribute(name)
 
-    def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
+    def read_number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
         """Value of an attribute as a number of at most `limit` in magnitude; `default` if the attribute is missing.
 
         Raises RecordError for other content, and for a missing attribute if `default` is None.
         """
         if default is not None and name not in self:
             return default
-        return self.location.number(self.required_attribute(name), f"<{safe_excerpt(self.tag)}> {name}", limit=limit)
+        return self.location.parse_number(
+            self.required_attribute(name), f"<{safe_excerpt(self.tag)}> {name}", limit=limit
+        )
 
-    def name(self, name: str, kind: str) -> str:
+    def read_name(self, name: str, kind: str) -> str:
         """Value of a required attribute, checked as name of a station, target or point (`kind`); raises RecordError."""
-        return self.location.name(self.required_attribute(name), kind)
+        return self.location.checked_name(self.required_attribute(name), kind)
 
 
 def band_matrix_value_count(node: XmlNode, n_rows: float, band: float) -> int:

@@ -135,7 +135,7 @@ class HallRegion:
         lever = (length - nearest) * path - width**2 * ends * np.exp(-0.5 * np.sum(rho**2, axis=1) / width**2)
         return path, -rho * (lever / width**2)[:, None]
 
-    def neighbours(self) -> Iterator["HallRegion"]:
+    def local_search_variants(self) -> Iterator["HallRegion"]:
         """Iterator over the regions that a local search tries: with a shifted centre, or with another width."""
         for i, move, sign in product(range(len(self.bounded_axes)), LOCAL_SEARCH_CENTRE_SHIFTS, (1.0, -1.0)):
             centre = list(self.centre)

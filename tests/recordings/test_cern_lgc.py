@@ -79,7 +79,7 @@ def test_a_file_is_understood(tmp_path: Path) -> None:
     recording = read(sample(tmp_path / "a.lgc"))
     assert recording.stations == ("HALL.S1.", "HALL.S2.", "HALL.S2.#2")
     assert recording.setup.title == "Réseau d'essai"
-    readings, sigma = recording.readings, recording.sigma()
+    readings, sigma = recording.readings, recording.reading_sigmas()
     np.testing.assert_allclose(readings[0], [5.5, (400 - 100.5) * GON, -1.0 * GON])
     np.testing.assert_allclose(readings[1], [15.25, (400 - 300.25) * GON, 1.0 * GON])
     np.testing.assert_allclose(readings[2], [5.6, (400 - 100.6) * GON, -1.1 * GON])
@@ -89,7 +89,7 @@ def test_a_file_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(sigma[3], [0.5e-3 + 6e-6 * 15, 7e-4 * GON, 8e-4 * GON])
     np.testing.assert_allclose(sigma[4, 0], 0.02e-3 + 6e-6 * 6.0)
     assert recording.is_horizontal_distance[-1]
-    instrument, target = recording.heights()
+    instrument, target = recording.heights_above_marks()
     np.testing.assert_allclose(instrument, [0.1] * 3 + [0] * 4)
     np.testing.assert_allclose(target, [0.07, 0.03, 0.07, 0.03, 0.03, 0.03, 0.03])
 

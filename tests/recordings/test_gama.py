@@ -66,7 +66,7 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(readings[0], [10.05, -10 * GON, np.pi / 2 - 101 * GON])
     np.testing.assert_allclose(readings[1], [7.07, -60.5 * GON, np.pi / 2 - np.radians(95 + 30 / 60 + 30 / 3600)])
     assert list(recording.is_horizontal_distance) == [False, True, *[False] * 5]
-    sigma = recording.sigma()
+    sigma = recording.reading_sigmas()
     np.testing.assert_allclose(sigma[0], [0.0015, 3e-4 * GON, 4e-4 * GON])
     np.testing.assert_allclose(sigma[1, 1:], [9e-4 * GON, 4.0 * ARCSECOND])
     np.testing.assert_allclose(sigma[5:, 1], [10e-4 * GON, 10e-4 * GON])
@@ -123,7 +123,7 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     )
     (shared,) = shared_errors(correlated)
     reach = shared.reading_changes_per_sigma[2:5, 1]
-    spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
+    spread = np.diag(correlated.reading_sigmas()[2:5, 1] ** 2) + reach @ reach.T
     np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)
     assert np.count_nonzero(shared.reading_changes_per_sigma) == np.count_nonzero(reach) == 2
     assert not {*correlated.regressor_covariates}
@@ -214,9 +214,9 @@ def agree(one: Recording, other: Recording) -> None:
     turn = np.mod(one.readings[:, 1] - other.readings[:, 1] + 1, 2 * np.pi) - 1
     np.testing.assert_allclose(turn[np.isfinite(turn)], 0, atol=1e-12)
     assert np.array_equal(one.is_measured, other.is_measured)
-    ratio = one.sigma() / other.sigma()
+    ratio = one.reading_sigmas() / other.reading_sigmas()
     np.testing.assert_allclose(ratio[one.is_measured], 1, rtol=1e-12)
-    for mine, theirs in zip(one.heights(), other.heights(), strict=True):
+    for mine, theirs in zip(one.heights_above_marks(), other.heights_above_marks(), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 

@@ -487,12 +487,12 @@ def test_stated_sigmas_and_heights() -> None:
     stated = np.full(len(recording), np.nan)
     stated[0] = 2.0
     one = recording.replace(covariates={"sigma_azimuth_arcsec": stated, "target_height_mm": stated})
-    ratio = one.sigma() / recording.sigma()
-    assert one.sigma()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
+    ratio = one.reading_sigmas() / recording.reading_sigmas()
+    assert one.reading_sigmas()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
     assert np.all(ratio[1:] == 1.0)
     assert np.all(ratio[:, [0, 2]] == 1.0)
-    assert one.heights()[1][0] == pytest.approx(0.002)
-    assert not one.heights()[1][1:].any()
+    assert one.heights_above_marks()[1][0] == pytest.approx(0.002)
+    assert not one.heights_above_marks()[1][1:].any()
 
 
 def test_the_concealed_recordings_survive(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_both_dialects_and_their_units(tmp_path: Path, dialect: str, units: str,
     first, second = (recording.station_setup(name) for name in ("1", "2"))
     assert first.position_mm == pytest.approx((100_000.0, 500_000.0, 20_000.0))
     assert first.levelled and first.over == "1" and second.instrument_height_mm == pytest.approx(1400.0)
-    np.testing.assert_allclose(recording.heights()[1], [1.6, 1.6, 1.6, 1.7])
+    np.testing.assert_allclose(recording.heights_above_marks()[1], [1.6, 1.6, 1.6, 1.7])
     assert "because it is an SDR file" in recording.notes[0]
     assert any("1 observations that the instrument corrected" in note for note in recording.notes)
 

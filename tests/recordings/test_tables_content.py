@@ -376,7 +376,7 @@ def test_headers_of_office_programs(tmp_path: Path) -> None:
     assert found.stations == ("1000",) and found.targets == ("101", "102")
     assert list(found.face) == [1, 2, 1, 2]
     np.testing.assert_allclose(found.time, [0, 60, 120, 180])
-    np.testing.assert_allclose(found.heights()[0], 1.552)
+    np.testing.assert_allclose(found.heights_above_marks()[0], 1.552)
     np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
 
 

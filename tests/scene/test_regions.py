@@ -64,7 +64,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
 
 def test_neighbours_move_one_coordinate_or_the_width() -> None:
     region = HallRegion("xy", (2.0, 3.0), 0.5)
-    for other in region.neighbours():
+    for other in region.local_search_variants():
         changed = [a != b for a, b in zip((*other.centre, other.width), (*region.centre, region.width), strict=True)]
         assert sum(changed) == 1 and other.width > 0
 
@@ -72,7 +72,7 @@ def test_neighbours_move_one_coordinate_or_the_width() -> None:
 def test_a_local_search_does_not_make_a_region_thinner_than_a_beam() -> None:
     widths, region = [], HallRegion("xy", (2.0, 3.0), 0.5)
     for _ in range(30):
-        region = min(region.neighbours(), key=lambda other: other.width)
+        region = min(region.local_search_variants(), key=lambda other: other.width)
         widths.append(region.width)
     assert min(widths) >= MIN_REGION_WIDTH
     assert np.isfinite(path_lengths_in_regions(SCENE, "xy", np.array([region.centre]), region.width)).all()

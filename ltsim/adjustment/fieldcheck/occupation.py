@@ -102,7 +102,7 @@ class StationOccupation:
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.is_usable_reading & mask[:, None]
-        sigma = recording.sigma() if sigma is None else sigma
+        sigma = recording.reading_sigmas() if sigma is None else sigma
         sightings = replace(sightings_at_state(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # Linearised at the mean of each target: a gross reading would put its error into the instrument columns.
@@ -297,7 +297,7 @@ class TwoFaceDifferences:
         if not len(face_pair_rows(recording)):
             return None
         pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
-        sigma = recording.sigma()
+        sigma = recording.reading_sigmas()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
         noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]

@@ -101,7 +101,7 @@ def sight_vector_offsets(recording: Recording) -> Floats | None:
     target to the reflector. The height of the instrument above its ground mark, as declared for the set-up, is part of
     the station's position. If a pointing has another instrument height, the difference is subtracted from the offset.
     """
-    instrument, target = recording.heights()
+    instrument, target = recording.heights_above_marks()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(setup_heights)[recording.station])
     height_offset = height[:, None] * plumb_directions(recording)[recording.station] if np.any(height) else None

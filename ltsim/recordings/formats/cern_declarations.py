@@ -67,7 +67,7 @@ class LineWords:
         Raises RecordError if a word is not a decimal number of at most `limit` in magnitude.
         """
         words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
-        return [self.location.number(word, column, limit=limit) for word, column in words]
+        return [self.location.parse_number(word, column, limit=limit) for word, column in words]
 
     def options(self, first_word: int) -> LineOptions:
         """Options at the end of the line, from the word with index `first_word`; raises RecordError."""
@@ -90,7 +90,7 @@ class LineOptions:
 
     def number(self, name: str, default: float) -> float:
         """Value of the option `name` as a number; `default` if the line does not have it. Raises RecordError."""
-        return self.location.number(self.values[name], name) if name in self.values else default
+        return self.location.parse_number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
@@ -176,7 +176,7 @@ def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
 
 def _name_and_point(line_words: LineWords, message: str) -> tuple[str, Floats]:
     """Name and coordinates (3,) [m] at the beginning of a line; RecordError with `message` if they are missing."""
-    name = line_words.location.name(line_words.tokens[0], "point")
+    name = line_words.location.checked_name(line_words.tokens[0], "point")
     line_words.first_words(4, message)
     return name, np.array(line_words.numbers(1, "X", "Y", "Z", limit=1e8))
 
@@ -196,7 +196,10 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
         return
     value_by_option = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
     sigma = np.array(
-        [location.number(value_by_option[s], s) * MILLIMETRE if s in value_by_option else np.nan for s in SIGMA_OPTIONS]
+        [
+            location.parse_number(value_by_option[s], s) * MILLIMETRE if s in value_by_option else np.nan
+            for s in SIGMA_OPTIONS
+        ]
     )
     if value_by_option:
         point.add_observation(
@@ -207,7 +210,7 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
 def _parse_matrix(word: str, location: SourceLocation) -> Floats:
     """Covariance (3, 3) [m^2] from a word `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`; raises RecordError."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
-    matrix_entries = [location.number(v, "APRICOV") for v in match[2].split(",")] if match else []
+    matrix_entries = [location.parse_number(v, "APRICOV") for v in match[2].split(",")] if match else []
     if match and len(matrix_entries) == (3 if match[1] == "DIAG" else 9):
         matrix = np.diag(matrix_entries) if match[1] == "DIAG" else np.array(matrix_entries).reshape(3, 3)
         if np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(matrix)[0] > 0:
@@ -217,16 +220,14 @@ def _parse_matrix(word: str, location: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class TargetSigmas:
-    """Declared precision of the observations of one kind of target of a polar instrument, and height of such targets.
+    """Declared standard deviations of the observations of one kind of target, and height [m] of such targets."""
 
-    `azimuth` and `elevation` are the standard deviations [cc] of azimuths and of zenith angles. `distance` [mm] and
-    `ppm` are the constant and the proportional part of that of distances. `target_height` is in metres.
-    """
-
-    azimuth: float
-    elevation: float
-    distance: float
-    ppm: float
+    azimuth_sigma_cc: float
+    zenith_sigma_cc: float
+    distance_sigma_mm: float
+    """Constant part [mm] of the standard deviation of a distance."""
+    distance_sigma_ppm: float
+    """Part of the standard deviation of a distance that is proportional to the distance."""
     target_height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
@@ -234,11 +235,15 @@ class TargetSigmas:
 
         `kind` is azimuth, elevation or distance; `value` is the distance [m]. Raises RecordError if the result is 0.
         """
-        option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
-        declared = options.number(option, options.number("OBSE", getattr(self, kind)))
+        option, default_sigma = {
+            "azimuth": ("ASE", self.azimuth_sigma_cc),
+            "elevation": ("ZSE", self.zenith_sigma_cc),
+            "distance": ("DSE", self.distance_sigma_mm),
+        }[kind]
+        declared = options.number(option, options.number("OBSE", default_sigma))
         sigma = declared * CENTESIMAL_SECOND
         if kind == "distance":
-            sigma = declared * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
+            sigma = declared * MILLIMETRE + options.number("PPM", self.distance_sigma_ppm) * PPM * value
         if not sigma > 0:
             raise options.location.error("the standard deviation is 0, expected one above 0", kind)
         return sigma
@@ -250,7 +255,7 @@ class PolarInstrument:
 
     default_target_kind: str
     height: float
-    targets: dict[str, TargetSigmas] = field(default_factory=dict)
+    target_kinds: dict[str, TargetSigmas] = field(default_factory=dict)
 
     def add_target(self, line_words: LineWords) -> str:
         """Addition of the kind of target that a line declares; the result is a note for the user.
@@ -262,7 +267,7 @@ class PolarInstrument:
         height = line_words.numbers(9, "height")[0] if len(line_words.tokens) > 9 else 0.0
         correction = line_words.numbers(6, "correction")[0] if len(line_words.tokens) > 6 else 0.0
         azimuth, elevation, distance, ppm = line_words.numbers(1, "sigma", "sigma", "sigma", "sigma")
-        self.targets[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
+        self.target_kinds[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (
             f"the distance correction of {correction:g} m of target {safe_excerpt(name)} is not applied"
             if correction
@@ -277,12 +282,12 @@ class PolarInstrument:
 
     def _noise(self) -> Noise:
         """Noise from the standard deviations of the default kind of target, or else of the first declared kind."""
-        sigmas = self.targets.get(self.default_target_kind) or next(iter(self.targets.values()), None)
+        sigmas = self.target_kinds.get(self.default_target_kind) or next(iter(self.target_kinds.values()), None)
         if sigmas is None:
             return Noise()
         return Noise(
-            distance_mm=max(sigmas.distance, 1e-6),
-            distance_ppm=sigmas.ppm,
-            azimuth_arcsec=max(sigmas.azimuth * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
-            elevation_arcsec=max(sigmas.elevation * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
+            distance_mm=max(sigmas.distance_sigma_mm, 1e-6),
+            distance_ppm=sigmas.distance_sigma_ppm,
+            azimuth_arcsec=max(sigmas.azimuth_sigma_cc * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
+            elevation_arcsec=max(sigmas.zenith_sigma_cc * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
         )

@@ -159,7 +159,7 @@ def _begin_block(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
         lgc.curved_reference_keyword = keyword
     elif keyword == "POLAR":
         name, default, _ = line_words.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        lgc.instruments[line_words.location.name(name, "instrument")] = PolarInstrument(
+        lgc.instruments[line_words.location.checked_name(name, "instrument")] = PolarInstrument(
             default, line_words.numbers(2, "height")[0]
         )
     elif keyword == "TSTN":
@@ -182,7 +182,7 @@ def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
     if instrument not in lgc.instruments:
         given = safe_excerpt(instrument) or "nothing"
         raise line_words.location.error(f"*TSTN names {given}, expected an instrument that *POLAR declares")
-    point = line_words.location.name(line_words.tokens[0], "station")
+    point = line_words.location.checked_name(line_words.tokens[0], "station")
     if point not in lgc.points:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = line_words.options(2), lgc.instruments[instrument]
@@ -236,13 +236,13 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
     line_words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = lgc.setups[lgc.station]
-    target = where.name(line_words.tokens[0], "target")
+    target = where.checked_name(line_words.tokens[0], "target")
     if target not in lgc.points:
         raise where.error(f"the point {target} is in no block of points")
     options = line_words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
         options.values.get("TRGT", setup.default_target_kind),
-        lgc.instruments[setup.instrument].targets,
+        lgc.instruments[setup.instrument].target_kinds,
     )
     if kind_of_target not in sigmas_by_target:
         raise where.error(

@@ -52,7 +52,7 @@ class FieldBook:
 
         A further set-up over one point gets the name of the point with a number.
         """
-        self.station = numbered_name(location.name(name, "station"), self.n_setups_by_point[name])
+        self.station = numbered_name(location.checked_name(name, "station"), self.n_setups_by_point[name])
         self.n_setups_by_point[name] += 1
         self.setups[self.station] = (name, height, coordinates_mm)
 
@@ -92,7 +92,7 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                self._interned.setdefault(target, location.name(target, "target")),
+                self._interned.setdefault(target, location.checked_name(target, "target")),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),

@@ -119,7 +119,7 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
-    axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
+    axes, angles = node.attribute("axes-xy", "ne"), node.attribute("angles", "left-handed")
     if axes not in (*LEFT_HANDED_AXES, *RIGHT_HANDED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{safe_excerpt(axes)}', angles='{safe_excerpt(angles)}' is not a coordinate system of gama-local"
@@ -134,9 +134,9 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
 
 def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
     """Addition of the content of ``<parameters>`` to `network`: a-priori sigma, and notes on unused parameters."""
-    network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
+    network.apriori_sigma = node.read_number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
-        apriori_sigma = safe_excerpt(node.get("sigma-apr"))
+        apriori_sigma = safe_excerpt(node.attribute("sigma-apr"))
         network.notes.append(
             f"sigma-apr is {apriori_sigma}: Gama reports a sigma0 that is {apriori_sigma} times the one of ltsim"
         )
@@ -164,11 +164,11 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
 
     Capital letters in the attribute ``adj`` are the axes along which the point defines the datum.
     """
-    name = node.name("id", "point")
+    name = node.read_name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
     sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
-    point.coordinates_by_axis.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
-    fixed, adjusted = node.get("fix"), node.get("adj")
+    point.coordinates_by_axis.update({axis: sign[axis] * node.read_number(axis) for axis in "xyz" if axis in node})
+    fixed, adjusted = node.attribute("fix"), node.attribute("adj")
     for word in (fixed, adjusted):
         if word.lower() not in ("", "xyz", "xy", "z"):
             raise node.location.error(f"point {name}: '{safe_excerpt(word)}' is not one of xyz, xy, z")
@@ -238,16 +238,16 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
 
 def _standpoint(child: XmlNode, block: XmlNode) -> str:
     """Name of the point from which the observation `child` of the element `block` was made; raises RecordError."""
-    return (child if "from" in child else block).name("from", "point")
+    return (child if "from" in child else block).read_name("from", "point")
 
 
 def _parse_observation(
     child: XmlNode, block: XmlNode, station: str, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork
 ) -> SingleObservation:
-    target = child.name("to", "point")
-    heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
+    target = child.read_name("to", "point")
+    heights = child.read_number("from_dh", block.read_number("from_dh", 0.0)), child.read_number("to_dh", 0.0)
     if child.tag in ("s-distance", "distance"):
-        value = child.number("val")
+        value = child.read_number("val")
         if not 0 < value < 1e6:
             raise child.location.error(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
         sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, MILLIMETRE, child, network, value)
@@ -275,7 +275,7 @@ def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndShared
     value, second = _parse_angle(child)
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
     for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
-        target = child.name(name, "point")
+        target = child.read_name(name, "point")
         direction = SingleObservation(
             "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_shifts=errors
         )
@@ -299,7 +299,7 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
     """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation in the file."""
     match = _SEXAGESIMAL_ANGLE_PATTERN.fullmatch(child.required_attribute("val"))
     if match is None:
-        return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
+        return child.read_number("val", limit=1e4) * GON, CENTESIMAL_SECOND
     degrees = float(match[2]) + float(match[3]) / 60 + float(match[4]) / 3600
     return (-degrees if match[1] == "-" else degrees) * DEGREE, ARCSECOND
 
@@ -311,13 +311,13 @@ def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float 
     RecordError.
     """
     kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
-    words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
+    words = child.attribute("stdev", network.default_sigmas.get(kind, "")).split()
     if not 0 < len(words) < 4:
         message = (
             f"no standard deviation is given for <{safe_excerpt(child.tag)}>, expected one (stdev, or {kind}-stdev)"
         )
         raise child.location.error(message)
-    coefficients = [child.location.number(word, "stdev", limit=1e9) for word in words]
+    coefficients = [child.location.parse_number(word, "stdev", limit=1e9) for word in words]
     a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
     sigma = a + (b * (distance / 1000) ** c if b else 0.0)
     if not 0 < sigma < 1e9:
@@ -389,7 +389,7 @@ def _noise(network: GamaNetwork) -> Noise:
 
     def default(kind: str, fallback: float) -> float:
         words = network.default_sigmas.get(kind, "").split()
-        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
+        value = SourceLocation(network.file).parse_number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 
     return Noise(

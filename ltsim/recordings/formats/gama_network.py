@@ -178,12 +178,12 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    n_rows, band = matrix.number("dim"), matrix.number("band")
+    n_rows, band = matrix.read_number("dim"), matrix.read_number("band")
     size = band_matrix_value_count(matrix, n_rows, band)
     words = (matrix.element.text or "").split(maxsplit=size)
     if len(words) != size:
         raise matrix.location.error(BAND_MATRIX_SIZE_MESSAGE)
-    return band_matrix_entries(matrix, n_rows, band, [matrix.location.number(word, "cov-mat") for word in words])
+    return band_matrix_entries(matrix, n_rows, band, [matrix.location.parse_number(word, "cov-mat") for word in words])
 
 
 def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:
@@ -219,7 +219,7 @@ def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
     if not attributes:
         expected_text = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
         raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({expected_text})")
-    value = max(child.number(attributes[0]), 0.0)
+    value = max(child.read_number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
 
@@ -228,9 +228,9 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
 
     `y_sign` is the factor of y coordinates. Raises RecordError.
     """
-    end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
-    x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
-    if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
+    end_names = {"from": child.read_name("from", "point"), "to": child.read_name("to", "point")}
+    x, y, z = (0.0, 0.0, child.read_number("val")) if child.tag == "dh" else (child.read_number(f"d{a}") for a in "xyz")
+    if any(child.read_number(name, 0.0) for name in ("from_dh", "to_dh")):
         message = f"<{child.tag}> has a height of instrument or target, which gama-local does not use"
         raise child.location.error(f"{message}; expected a difference between the marks, without from_dh and to_dh")
     precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(covariance[-1, -1], 0.0)))}

@@ -122,8 +122,8 @@ def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
-    front, sigma = to_face(recording.readings, recording.face), recording.sigma()
-    instrument, target_height = (h.tolist() for h in recording.heights())
+    front, sigma = to_face(recording.readings, recording.face), recording.reading_sigmas()
+    instrument, target_height = (h.tolist() for h in recording.heights_above_marks())
     is_horizontal_distance = recording.is_horizontal_distance
     for s, station in enumerate(recording.stations):
         yield f"<obs from={quoteattr(_point_under_station(recording, station))}>"
@@ -146,7 +146,9 @@ def _length_lines(recording: Recording) -> Iterator[str]:
     """XML elements of the reference lengths at their temperature during the recording."""
     lengths = ReferenceLengths.from_recording(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
-    for first, second, length, sigma in zip(*ends, lengths.lengths.tolist(), lengths.sigma.tolist(), strict=True):
+    for first, second, length, sigma in zip(
+        *ends, lengths.lengths.tolist(), lengths.total_sigmas.tolist(), strict=True
+    ):
         yield f"<obs from={first}>"
         yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"

@@ -50,7 +50,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     root = parse_xml(path)
     if root.tag != OPENINDY_ROOT_ELEMENT:
         raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{OPENINDY_ROOT_ELEMENT}>", file=path)
-    named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
+    named_nodes = [
+        node for node in root.descendants("station", "geometry", "nominalGeometry") if node.attribute("name")
+    ]
     stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
     geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
     notes: Counter[str] = Counter()
@@ -61,7 +63,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
-    setup = Setup(title=single_line_title(root.get("name", path.stem)))
+    setup = Setup(title=single_line_title(root.attribute("name", path.stem)))
     recording = recording_from_pointings(pointings, setup, notes=count_notes, file=path)
     return (
         recording
@@ -79,8 +81,8 @@ def _parse_pointing(
     if "station" not in children:
         raise node.location.error("the observation has no station")
     reading, reference = children["reading"], children["station"].required_attribute("ref")
-    kind = reading.get("type")
-    if node.get("isValid") == "0" or kind not in REQUIRED_QUANTITIES_BY_READING_TYPE:
+    kind = reading.attribute("type")
+    if node.attribute("isValid") == "0" or kind not in REQUIRED_QUANTITIES_BY_READING_TYPE:
         notes[
             f"readings of the type {safe_excerpt(kind)} are not used"
             if kind not in REQUIRED_QUANTITIES_BY_READING_TYPE
@@ -94,23 +96,23 @@ def _parse_pointing(
     if missing_names:
         raise node.location.error(f"the {kind} reading has no {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
-        {name: measurements[name].number("value", limit=1e6) for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind]}
+        {name: measurements[name].read_number("value", limit=1e6) for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind]}
     )
     if distance <= 0:
         raise node.location.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
-    if (reading.get("face") == "2") != (face == 2):
+    if (reading.attribute("face") == "2") != (face == 2):
         notes[
             "readings declare a face that contradicts their zenith angle; the face is taken from the zenith angle"
         ] += 1
     return Pointing(
-        stations[reference].name("name", "station"),
+        stations[reference].read_name("name", "station"),
         _target_name(node, geometries),
         face,
         distance,
         azimuth,
         elevation,
-        _seconds_of_stamp(reading.get("time")),
+        _seconds_of_stamp(reading.attribute("time")),
         _sigmas(measurements),
         source=f"{node.file.name}, line {node.line}",
     )
@@ -138,7 +140,7 @@ def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float
 
 def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
     sigmas = {
-        name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
+        name: nodes[name].read_number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
     }
     unit_by_measurement = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
     return {
@@ -154,14 +156,16 @@ def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
     `geometries` are the XML elements of geometries by their id.
     """
     geometries_of_node = [
-        geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries
+        geometries[e.attribute("ref")]
+        for e in node.descendants("measuredTargetGeometry")
+        if e.attribute("ref") in geometries
     ]
-    point_geometry = next((geometry for geometry in geometries_of_node if geometry.get("type") == "point"), None)
+    point_geometry = next((geometry for geometry in geometries_of_node if geometry.attribute("type") == "point"), None)
     if point_geometry is not None:
-        return point_geometry.name("name", "target")
+        return point_geometry.read_name("name", "target")
     observation_id = node.required_attribute("id")
-    return node.location.name(
-        f"{geometries_of_node[0].get('name')}.{observation_id}"
+    return node.location.checked_name(
+        f"{geometries_of_node[0].attribute('name')}.{observation_id}"
         if geometries_of_node
         else f"observation {observation_id}",
         "target",

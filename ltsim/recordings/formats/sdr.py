@@ -163,4 +163,4 @@ def _read_observation(
 
 
 def _parse_number(text: str, location: SourceLocation) -> float:
-    return location.number(text) if text.strip() else NOT_MEASURED
+    return location.parse_number(text) if text.strip() else NOT_MEASURED

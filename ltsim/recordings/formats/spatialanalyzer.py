@@ -116,7 +116,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     }
     group_names = [group_by_line[line] for line in table.pointings.line]
     for i, name in enumerate(group_names):
-        table.pointings.source_location(i).text(name, "Group")
+        table.pointings.source_location(i).checked_text(name, "Group")
     poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
     ordered_names = dict.fromkeys(table.pointings.station)
     pose_by_index = {i: pose for i, name in enumerate(ordered_names) if (pose := poses[name]) is not None}
@@ -192,9 +192,9 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
 
 def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.n_declared_observations = int(location.number(fields[1], "# Meas.", allows_decimal_comma=True))
+        block.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
-        values = np.array([location.number(text, allows_decimal_comma=True) for text in fields[1:4]])
+        values = np.array([location.parse_number(text, allows_decimal_comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]
@@ -317,5 +317,5 @@ def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) ->
                 yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
         stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
     models = sorted({block.model for block in blocks if block.model})
-    instruments = {SourceLocation(file).name(model, "instrument"): Instrument() for model in models}
+    instruments = {SourceLocation(file).checked_name(model, "instrument"): Instrument() for model in models}
     return Setup(title=file.stem, instruments=instruments, stations=stations)

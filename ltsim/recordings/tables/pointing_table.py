@@ -132,7 +132,7 @@ class UnconvertedPointings:
         names, indices = distinct_with_indices(self.station if kind == "station" else self.target)
         _, first = np.unique(indices, return_index=True)
         for name, row in zip(names, first.tolist(), strict=True):
-            self.source_location(row).name(name, kind, kind)
+            self.source_location(row).checked_name(name, kind, kind)
         return indices
 
     def digit_texts_of_roles(self, roles: Sequence[str]) -> DigitTexts:

@@ -183,7 +183,7 @@ class RowBatchReader:
             or max(map(len, distinct)) > MAX_CELL_TEXT_LENGTH
         ):
             for text, line in zip(texts, lines, strict=True):
-                self._source_location(line).text(text)
+                self._source_location(line).checked_text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
 
     def _source_location(self, line: int) -> SourceLocation:
