@@ -43,10 +43,10 @@ INVISIBILITY_REASON_TEXTS = (
     "out of range",
     "below the elevation limit",
     "above the elevation limit",
-    "in the shadow cone",
+    "in the shadow cone of the instrument's stand",
     "outside the acceptance angle of the reflector",
     "hidden by an obstacle",
-    "marginal, not free from every position within stations.position_tolerance_mm of the planned one",
+    "marginal, not free from all positions within stations.position_tolerance_mm of the planned one",
 )
 """Text for users of each `InvisibilityReason`; empty for a visible target."""
 

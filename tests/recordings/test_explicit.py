@@ -194,7 +194,7 @@ def test_lists_of_coordinates(
     found = read_points(file_of(tmp_path, content))
     assert found.names[0] == name
     np.testing.assert_allclose(found.points[0], places)
-    np.testing.assert_allclose(found.sigma[0], sigma or [np.nan] * 3)
+    np.testing.assert_allclose(found.coordinate_sigmas[0], sigma or [np.nan] * 3)
 
 
 def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) -> None:
