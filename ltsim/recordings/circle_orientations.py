@@ -32,7 +32,7 @@ MAX_ROWS_CONFIRMING_CIRCLE_ROTATION = 100
 confirm it."""
 
 
-def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
+def circle_orientation_numbers(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
     """Number (n,) of the orientation of the horizontal circle in each of n rows, from 0 in each occupation.
 
     The arguments are the number of the occupation in each row (n,), the number of the sight (n,), and the readings (n,

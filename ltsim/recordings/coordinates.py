@@ -116,7 +116,7 @@ def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> Poi
     raise RecordError(f"is not a list of coordinates, {EXPECTED_POINT_LIST_TEXT}", file=path)
 
 
-def recognises(file_beginning: str) -> bool:
+def is_point_list(file_beginning: str) -> bool:
     """True if a file that begins with the text `file_beginning` is a list of points, with or without header."""
     first_rows = rows_of_file_beginning(file_beginning)
     header = _header_columns(first_rows)
@@ -284,7 +284,7 @@ def is_coordinate_file(path: Path) -> bool:
     if not path.is_file():
         return False
     beginning = read_file_beginning(path, 4096).lstrip()
-    return "<gama-local-adjustment" in beginning if beginning.startswith("<") else recognises(beginning)
+    return "<gama-local-adjustment" in beginning if beginning.startswith("<") else is_point_list(beginning)
 
 
 def read_coordinates(path: Path) -> EpochCoordinates:

@@ -83,7 +83,7 @@ def _make_format(
 
 def _is_list_of_points(path: Path, file_beginning: str) -> bool:
     """True if the file is a list of points (names with coordinates), not a recording."""
-    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.recognises(file_beginning)
+    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.is_point_list(file_beginning)
 
 
 def _refuse_point_list(path: Path, hints: Hints) -> Recording:

@@ -89,7 +89,7 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
     table = _read_table(folder / OBSERVATIONS_FILE, is_growing=hints.is_growing)
-    recording = parse(table, read_setup(folder / SETUP_FILE), folder, is_growing=hints.is_growing)
+    recording = parse_observations(table, read_setup(folder / SETUP_FILE), folder, is_growing=hints.is_growing)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
@@ -131,7 +131,7 @@ def _yield_and_free_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(table: TextTable, setup: Setup, folder: Path, *, is_growing: bool = False) -> Recording:
+def parse_observations(table: TextTable, setup: Setup, folder: Path, *, is_growing: bool = False) -> Recording:
     """Recording from the texts of `observations.csv` and its set-up; `folder` is named in errors.
 
     With `is_growing` reference values and centring errors are not checked.
@@ -350,7 +350,7 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
     """
     (header, columns), toml = observation_table(recording), setup_to_toml(recording.setup, path / SETUP_FILE)
     validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
-    parse((header, columns), recording.setup, path)
+    parse_observations((header, columns), recording.setup, path)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)

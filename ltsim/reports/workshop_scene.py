@@ -310,7 +310,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_visible_sights(layout, visibility),
         obstacle_triangles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.OBSTACLE),
+        blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.HIDDEN_BY_OBSTACLE),
         notes=notes,
     )
 

@@ -32,9 +32,9 @@ class InvisibilityReason(IntEnum):
     BELOW_MIN_ELEVATION = 3
     ABOVE_MAX_ELEVATION = 4
     IN_STAND_SHADOW = 5
-    ACCEPTANCE = 6
-    OBSTACLE = 7
-    MARGINAL = 8
+    OUTSIDE_ACCEPTANCE_ANGLE = 6
+    HIDDEN_BY_OBSTACLE = 7
+    MARGINAL_SIGHT = 8
 
 
 INVISIBILITY_REASON_TEXTS = (
@@ -138,11 +138,11 @@ class Visibility:
     @property
     def is_marginal(self) -> Bools:
         """Flags (S, T) of lines of sight that are not free from all positions within the tolerance of the station."""
-        return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL)
+        return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL_SIGHT)
 
     def with_marginal_pairs(self, is_marginal: Bools) -> Visibility:
         """Copy in which visible pairs of station and target with a flag in `is_marginal` (S, T) become invisible."""
-        codes = np.where(self.is_visible & is_marginal, np.int8(InvisibilityReason.MARGINAL), self.reason_codes)
+        codes = np.where(self.is_visible & is_marginal, np.int8(InvisibilityReason.MARGINAL_SIGHT), self.reason_codes)
         return replace(self, reason_codes=codes)
 
     def invisible_pair_sentences(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
@@ -200,7 +200,7 @@ def compute_visibility(
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.shadow_cone_opening - 0.5 * np.pi
     checks = (
-        (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
+        (InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
         (InvisibilityReason.IN_STAND_SHADOW, elevation < shadow - LIMIT_TOLERANCE),
         (InvisibilityReason.ABOVE_MAX_ELEVATION, elevation > limits.elevation_max + LIMIT_TOLERANCE),
         (InvisibilityReason.BELOW_MIN_ELEVATION, elevation < limits.elevation_min - LIMIT_TOLERANCE),
@@ -250,7 +250,7 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
     hidden_pairs = sight_pairs[
         obstacles.is_blocked(position[sight_pairs[:, 0]], obstacles.moved_to_surface(points)[sight_pairs[:, 1]])
     ]
-    reason_table[hidden_pairs[:, 0], hidden_pairs[:, 1]] = InvisibilityReason.OBSTACLE
+    reason_table[hidden_pairs[:, 0], hidden_pairs[:, 1]] = InvisibilityReason.HIDDEN_BY_OBSTACLE
     reason_table[is_inside] = InvisibilityReason.STATION_INSIDE_OBSTACLE
 
 

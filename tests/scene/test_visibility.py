@@ -96,7 +96,7 @@ def test_acceptance_of_fixed_nests_only() -> None:
     fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([False]))
     turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([True]))
     assert fixed.incidence_angles[0, 0] == pytest.approx(31 * DEGREE)
-    assert fixed.reason_codes[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
+    assert fixed.reason_codes[0, 0] == InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE and turned.is_visible[0, 0]
 
 
 def test_unknown_nests_accept_every_beam() -> None:
@@ -125,7 +125,7 @@ def test_obstacles_and_stations_inside_them() -> None:
     targets = np.array([[3.0, 0.0, 2.0], [0.0, 3.0, 2.0]])
     table = compute_visibility(stations, targets, LIMITS, obstacles=Wall())
     assert table.reason_codes.tolist() == [
-        [InvisibilityReason.OBSTACLE, InvisibilityReason.VISIBLE],
+        [InvisibilityReason.HIDDEN_BY_OBSTACLE, InvisibilityReason.VISIBLE],
         [InvisibilityReason.STATION_INSIDE_OBSTACLE] * 2,
     ]
     assert table.invisible_pair_sentences(("A", "B"), ("P", "Q"))[0] == "A does not see P: hidden by an obstacle"

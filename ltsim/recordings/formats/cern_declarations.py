@@ -52,27 +52,27 @@ OPTIONS_WITH_VALUE = (
 class LineWords:
     """Words of one line of an LGC file, and location of the line."""
 
-    tokens: Sequence[str]
+    words: Sequence[str]
     location: SourceLocation
 
     def first_words(self, n_words: int, message: str) -> Sequence[str]:
         """First `n_words` words of the line; raises RecordError with `message` if there are fewer."""
-        if len(self.tokens) < n_words:
+        if len(self.words) < n_words:
             raise self.location.error(message)
-        return self.tokens[:n_words]
+        return self.words[:n_words]
 
     def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
         """Numbers in consecutive words from index `first_word` on; `columns` are the names of these words in errors.
 
         Raises RecordError if a word is not a decimal number of at most `limit` in magnitude.
         """
-        words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
+        words = zip(self.words[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.parse_number(word, column, limit=limit) for word, column in words]
 
     def options(self, first_word: int) -> LineOptions:
         """Options at the end of the line, from the word with index `first_word`; raises RecordError."""
         value_by_option: dict[str, str] = {}
-        remaining_words = iter(self.tokens[first_word:])
+        remaining_words = iter(self.words[first_word:])
         for word in map(str.upper, remaining_words):
             value = next(remaining_words, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
@@ -159,7 +159,7 @@ def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint
     if axes.any():
         point.add_observation(declared_coordinates, np.eye(3) * FIXED_COORDINATE_SIGMA_M**2, axes)
     else:
-        _read_precision(point, [token.upper() for token in line_words.tokens[4:]], line_words.location)
+        _read_precision(point, [token.upper() for token in line_words.words[4:]], line_words.location)
     return name, point
 
 
@@ -176,7 +176,7 @@ def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
 
 def _name_and_point(line_words: LineWords, message: str) -> tuple[str, Floats]:
     """Name and coordinates (3,) [m] at the beginning of a line; RecordError with `message` if they are missing."""
-    name = line_words.location.checked_name(line_words.tokens[0], "point")
+    name = line_words.location.checked_name(line_words.words[0], "point")
     line_words.first_words(4, message)
     return name, np.array(line_words.numbers(1, "X", "Y", "Z", limit=1e8))
 
@@ -264,8 +264,8 @@ class PolarInstrument:
         """
         fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
         name = line_words.first_words(5, f"a target needs {fields}")[0]
-        height = line_words.numbers(9, "height")[0] if len(line_words.tokens) > 9 else 0.0
-        correction = line_words.numbers(6, "correction")[0] if len(line_words.tokens) > 6 else 0.0
+        height = line_words.numbers(9, "height")[0] if len(line_words.words) > 9 else 0.0
+        correction = line_words.numbers(6, "correction")[0] if len(line_words.words) > 6 else 0.0
         azimuth, elevation, distance, ppm = line_words.numbers(1, "sigma", "sigma", "sigma", "sigma")
         self.target_kinds[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (

@@ -124,14 +124,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     lgc = _LgcContent(path)
     keyword, in_frame = "", False
     for words in _lines(lgc):
-        first = words.tokens[0]
+        first = words.words[0]
         if first.startswith("*"):
             keyword = first[1:].upper()
             in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
             if keyword == "FRAME":
-                lgc.frames.append(" ".join(words.tokens[1:2]))
+                lgc.frames.append(" ".join(words.words[1:2]))
             if not in_frame:
-                _begin_block(keyword, LineWords(words.tokens[1:], words.location), lgc)
+                _begin_block(keyword, LineWords(words.words[1:], words.location), lgc)
         elif in_frame and keyword == "OBSXYZ":
             lgc.points_observed_in_frames.append(first)
         elif in_frame or not _process_line(keyword, words, lgc):
@@ -178,11 +178,11 @@ def _begin_block(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
 
 
 def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
-    instrument = "".join(line_words.tokens[1:2])
+    instrument = "".join(line_words.words[1:2])
     if instrument not in lgc.instruments:
         given = safe_excerpt(instrument) or "nothing"
         raise line_words.location.error(f"*TSTN names {given}, expected an instrument that *POLAR declares")
-    point = line_words.location.checked_name(line_words.tokens[0], "station")
+    point = line_words.location.checked_name(line_words.words[0], "station")
     if point not in lgc.points:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = line_words.options(2), lgc.instruments[instrument]
@@ -211,7 +211,7 @@ def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
 def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool:
     """Addition of the content of a line to `lgc`; False if its section (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
-        lgc.title_words += line_words.tokens
+        lgc.title_words += line_words.words
     elif keyword in FIXED_AXES_BY_KEYWORD:
         name, point = parse_point(keyword, line_words)
         if name in lgc.points:
@@ -220,7 +220,7 @@ def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool
     elif keyword == "OBSXYZ" and not lgc.curved_reference_keyword:
         lgc.observed_points.append(parse_observed_point(line_words))
     elif keyword == "PDOR":
-        lgc.orientation_points[line_words.tokens[0]] = None
+        lgc.orientation_points[line_words.words[0]] = None
     elif keyword == "POLAR":
         lgc.notes += filter(None, [lgc.instruments[next(reversed(lgc.instruments))].add_target(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
@@ -236,7 +236,7 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
     line_words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = lgc.setups[lgc.station]
-    target = where.checked_name(line_words.tokens[0], "target")
+    target = where.checked_name(line_words.words[0], "target")
     if target not in lgc.points:
         raise where.error(f"the point {target} is in no block of points")
     options = line_words.options(1 + len(kinds))

@@ -11,7 +11,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_FIELD_BOOK_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
+from ltsim.recordings.circle_orientations import circle_orientation_numbers, circle_rotation_note
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import (
@@ -163,7 +163,7 @@ class FieldBook:
         face = np.fromiter((p.face for p in self.pointings), dtype=np.int64, count=len(self.pointings))
         sight = 2 * (occupation * len(targets) + target) + face
         readings = readings_of_pointings(self.pointings)
-        orientation = circle_orientations(occupation, sight, readings)
+        orientation = circle_orientation_numbers(occupation, sight, readings)
         if orientation is None:
             return []
         keys = list(zip((p.station for p in self.pointings), orientation.tolist(), strict=True))

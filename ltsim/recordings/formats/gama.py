@@ -203,9 +203,9 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
         if np.any(numbers[of_point][~is_in_block]):
             network.notes.append(IGNORED_POINT_CORRELATIONS_NOTE)
         point.fixed_axes = "".join("xyz"[axis] for axis in axes)
-        point.sigma = float(np.sqrt(np.mean(variances)))
+        point.sigma_mm = float(np.sqrt(np.mean(variances)))
         if np.any(np.triu(covariance, 1)) or max(variances) > 1.0001 * min(variances):
-            point.covariance = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
+            point.covariance_mm2 = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
 
 
 def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
@@ -223,12 +223,12 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
     ]
     network.n_shared_errors += shared_effects.shape[1]
     circles = {(_standpoint(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
-    names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
+    names = {circle: network.setup_name(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented_setups |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma, errors in zip(children, sigmas, shared, strict=True):
         if child.tag in STDEV_ATTRIBUTE_PREFIXES:
             point = _standpoint(child, block)
-            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
+            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.setup_name(point)
             network.observations.append(_parse_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
@@ -271,7 +271,7 @@ def _parse_observation(
 
 def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork) -> None:
     """Addition of an angle as two directions of a separate set-up, each with the sigma of the angle over sqrt(2)."""
-    station = network.station(_standpoint(child, block), with_directions=True)
+    station = network.setup_name(_standpoint(child, block), with_directions=True)
     value, second = _parse_angle(child)
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
     for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
@@ -370,8 +370,8 @@ def _make_recording(network: GamaNetwork) -> Recording:
 def _make_target(point: GamaPoint, height: float) -> Target:
     reference_keys = {
         "known_axes": point.fixed_axes,
-        "known_sigma_mm": point.sigma,
-        "known_covariance_mm2": point.covariance,
+        "known_sigma_mm": point.sigma_mm,
+        "known_covariance_mm2": point.covariance_mm2,
     }
     return Target(
         known_mm=point.coordinates_or_zeros if point.fixed_axes else None,

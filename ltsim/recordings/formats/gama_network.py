@@ -31,9 +31,9 @@ class GamaPoint:
     """Axes along which the point takes part in the definition of the datum."""
     active_axes: str = ""
     """Axes along which the point is fixed or adjusted; along other axes it has no coordinate."""
-    sigma: float = FIXED_COORDINATE_SIGMA_MM
+    sigma_mm: float = FIXED_COORDINATE_SIGMA_MM
     """Standard deviation [mm] of the coordinates along the fixed axes."""
-    covariance: tuple[float, ...] | None = None
+    covariance_mm2: tuple[float, ...] | None = None
     """Covariance xx, xy, xz, yy, yz, zz [mm^2] of the coordinates; None if not given."""
 
     @property
@@ -77,7 +77,7 @@ class GamaNetwork:
     """Number of errors shared by several observations so far."""
     notes: list[str] = field(default_factory=list)
 
-    def station(self, point: str, *, with_directions: bool = False) -> str:
+    def setup_name(self, point: str, *, with_directions: bool = False) -> str:
         """Name of the set-up over a point for new observations; each further set of directions starts a set-up.
 
         `with_directions` is True if the observations include a set of directions.

@@ -113,7 +113,7 @@ class TableConventions:
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
-    def unit_of(self, role: str, column_values: Floats) -> str:
+    def assumed_unit(self, role: str, column_values: Floats) -> str:
         """Unit of a column of standard deviations or heights that declares none, normally the unit of the readings.
 
         `role` is the role of the column, `column_values` (n,) are its n numbers. Heights are in millimetres or metres

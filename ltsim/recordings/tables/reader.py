@@ -288,7 +288,7 @@ def _covariate_values(
                 if number is None:
                     return None
                 column_numbers[i] = number
-    unit = cell_unit or column.unit or interpretation.unit_of(column.role, column_numbers)
+    unit = cell_unit or column.unit or interpretation.assumed_unit(column.role, column_numbers)
     target_unit = column.role.rpartition("_")[2]
     if target_unit in ("mm", "arcsec") and unit in (*UNITS_BY_ROLE[column.role], "dms"):
         column_numbers = column_numbers * float(unit_ratio(unit, target_unit))

@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
+from ltsim.recordings.circle_orientations import circle_orientation_numbers, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
@@ -183,7 +183,7 @@ def split_occupations(
             distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
     elif has_circle:
         _, sight = distinct_with_indices(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
-        orientations = circle_orientations(occupation_index, sight, readings)
+        orientations = circle_orientation_numbers(occupation_index, sight, readings)
         if orientations is not None:
             by_number, code = distinct_with_indices(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
