@@ -13,7 +13,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings import Recording
-from ltsim.recordings.formats.gama import LEFT_HANDED_AXES
+from ltsim.recordings.formats.gama import MIRRORED_AXES
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.setup import Instrument, Prior, Setup, Target
 
@@ -41,7 +41,7 @@ def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResul
     """Read the published result of one network."""
     root: Element = parse(RECORDINGS / folder / f"{name}.xml").getroot()
     axes = root.find(".//{*}network-general-parameters")
-    turned = axes is None or axes.get("axes-xy", "ne") in LEFT_HANDED_AXES
+    turned = axes is None or axes.get("axes-xy", "ne") in MIRRORED_AXES
 
     def number(tag: str) -> float:
         return float(root.findtext(f".//{{*}}{tag}") or "nan")

@@ -45,7 +45,7 @@ between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
-    """None if `value` is NaN or infinite; otherwise unchanged `value`."""
+    """Unchanged `value`, or None in place of NaN and infinities."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -150,7 +150,6 @@ class ResultFile(Entry, Result):
     """
 
     FILE: ClassVar[str]
-    """Name of the JSON file."""
     format: str
     """Format and version of the file, such as `ltsim-calibration/1`."""
     recording: ResultSource | None = None

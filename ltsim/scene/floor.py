@@ -31,7 +31,7 @@ MIN_HEAD_ROOM = 0.3
 N_DEFAULT_TRIPOD_POSITIONS = 250
 """Approximate number of grid positions for tripods if no grid spacing is given. Positions of stations are refined
 without the grid afterwards."""
-ON_EDGE_TOLERANCE = 1e-9
+EDGE_TOLERANCE = 1e-9
 """Distance [m] from an edge below which a position is on the edge."""
 
 
@@ -192,8 +192,8 @@ class StandingArea:
         low, high = self.head_height_range
         return np.asarray(
             self.covers_positions(position[:, :2])
-            & (position[:, 2] > low - ON_EDGE_TOLERANCE)
-            & (position[:, 2] < high + ON_EDGE_TOLERANCE)
+            & (position[:, 2] > low - EDGE_TOLERANCE)
+            & (position[:, 2] < high + EDGE_TOLERANCE)
         )
 
     def covers_positions(self, positions: Floats) -> Bools:
@@ -215,7 +215,7 @@ class KeepOutArea:
 
     def contains_positions(self, positions: Floats) -> Bools:
         """Flags (N,) of those of N positions (N, 2) [m] on the floor that are in the area or its clearance."""
-        is_near = distance_to_outline(self.outline, positions) < self.clearance + ON_EDGE_TOLERANCE
+        is_near = distance_to_outline(self.outline, positions) < self.clearance + EDGE_TOLERANCE
         return is_near | is_inside_outline(self.outline, positions) if len(self.outline) > 2 else is_near
 
     def is_crossed_by_path(self, path: Floats) -> bool:
@@ -234,8 +234,8 @@ def distance_to_outline(outline: Floats, positions: Floats) -> Floats:
 
 
 def is_inside_outline(outline: Floats, positions: Floats) -> Bools:
-    """Flags (N,) of N positions (N, 2) [m] inside an outline (k, 2) [m] or within `ON_EDGE_TOLERANCE` of it."""
-    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(positions)) < ON_EDGE_TOLERANCE)
+    """Flags (N,) of N positions (N, 2) [m] inside an outline (k, 2) [m] or within `EDGE_TOLERANCE` of it."""
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(positions)) < EDGE_TOLERANCE)
 
 
 def invalid_outline_reason(outline: Floats) -> str:
@@ -244,17 +244,17 @@ def invalid_outline_reason(outline: Floats) -> str:
     A valid outline does not cross itself, and its area is not zero.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
-    same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < ON_EDGE_TOLERANCE)
+    same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
     if len(same_rows):
         return f"its corner {same_rows[0] + 1} coincides with the corner before it"
     edges = shapely.linestrings(np.stack([outline, then], axis=1))
-    first, second = np.nonzero(np.triu(shapely.dwithin(edges[:, None], edges, ON_EDGE_TOLERANCE), 2))
+    first, second = np.nonzero(np.triu(shapely.dwithin(edges[:, None], edges, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
         if (i, j) != (0, count - 1):  # first and last side have a corner in common
             return (
                 f"its sides after corners {i + 1} and {j + 1} cross or touch; give the corners in order around the area"
             )
-    return "" if shapely.area(shapely.polygons(outline)) > ON_EDGE_TOLERANCE else "its corners lie on one line"
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
 def tripod_grid_spacing(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
@@ -333,5 +333,5 @@ def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: 
     n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, n_grid_points, strict=True)]
     bottom, top = standing_area.head_height_range
-    levels = np.linspace(bottom, top, n_heights if top - bottom > ON_EDGE_TOLERANCE else 1)
+    levels = np.linspace(bottom, top, n_heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

@@ -43,9 +43,9 @@ from ltsim.recordings.references import check_reference_difference_ends
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, LengthGauge, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
-LEFT_HANDED_AXES = ("ne", "sw", "es", "wn")
+MIRRORED_AXES = ("ne", "sw", "es", "wn")
 """Directions of the x and y axes that form a left-handed system, for which the sign of y is changed."""
-RIGHT_HANDED_AXES = ("en", "nw", "se", "ws")
+UNMIRRORED_AXES = ("en", "nw", "se", "ws")
 """Directions of the x and y axes that form a right-handed system."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size [rad] of the unit cc, which is 1e-4 gon."""
@@ -120,12 +120,12 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.attribute("axes-xy", "ne"), node.attribute("angles", "left-handed")
-    if axes not in (*LEFT_HANDED_AXES, *RIGHT_HANDED_AXES) or angles not in ("left-handed", "right-handed"):
+    if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{safe_excerpt(axes)}', angles='{safe_excerpt(angles)}' is not a coordinate system of gama-local"
         )
         raise node.location.error(message)
-    network.y_sign = -1.0 if axes in LEFT_HANDED_AXES else 1.0
+    network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
     network.north_direction_deg = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
