@@ -203,6 +203,7 @@ class Recording(Result):
         return np.array(index_by_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
+        """Name of the instrument at a station; '' for the instrument without a name."""
         name = self.setup.stations.get(station, _DEFAULT_STATION).instrument
         return name if name is not None and name in self.setup.instruments else ""
 

@@ -247,6 +247,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     """
 
     def checked_number(text: str, number_type: Callable[[str], float]) -> float:
+        """Number in a JSON text; raises RecordError beyond `MAX_RESULT_MAGNITUDE`."""
         value = number_type(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_RESULT_MAGNITUDE:
             permitted = f"a finite number of at most {MAX_RESULT_MAGNITUDE:g} in magnitude"

@@ -147,4 +147,4 @@ def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: 
     assert "prior.range_scale_ppm" in told[0]
     bare = re.sub(r"\[instrument\.(noise|prior)\]\n(.+\n)*", "", setup.read_text())
     setup.write_text(bare)
-    assert not [note for note in lt.read(tmp_path / "rec").notes if "replace the values" in note]
+    assert not [note for note in lt.read(tmp_path / "rec").notes if "replace values" in note]

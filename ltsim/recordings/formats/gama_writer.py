@@ -103,6 +103,7 @@ def _coordinate_attributes(coordinates: Vector, axes: str = "xyz") -> str:
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
+    """XML elements of the observed coordinates of a target, with their covariance matrix."""
     attributes = _coordinate_attributes(target.known_mm, target.known_axes) if target.known_mm is not None else ""
     yield f"<coordinates><point id={quoteattr(name)}{attributes} />"
     axes, band = ["xyz".index(axis) for axis in target.known_axes], 0
@@ -122,6 +123,7 @@ def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
+    """XML elements of the observations from each set-up: directions, zenith angles and distances."""
     front, sigma = to_face(recording.readings, recording.face), recording.reading_sigmas()
     instrument, target_height = (h.tolist() for h in recording.heights_above_marks())
     is_horizontal_distance = recording.is_horizontal_distance

@@ -209,6 +209,7 @@ def _is_station_block(block: _GsiBlock) -> bool:
 
 
 def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
+    """Addition of a measurement block to the field book: a set-up, a pointing, or a skipped block."""
     if block.has_words("41", "42") and block.name("41") == setup_code:
         field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
     elif _is_station_block(block):
@@ -221,6 +222,7 @@ def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | No
 
 
 def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
+    """Addition of the pointing in a measurement block to the field book."""
     is_horizontal_distance = not block.has_words("31")
     field_book.add_pointing(
         block.name("11"),

@@ -75,6 +75,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 def _parse_pointing(
     node: XmlNode, stations: dict[str, XmlNode], geometries: dict[str, XmlNode], notes: Counter[str]
 ) -> Pointing | None:
+    """Pointing in the XML element of an observation; None if the reading is not used, which is counted in `notes`."""
     children = {child.tag: child for child in node}
     if "reading" not in children:
         return None
@@ -139,6 +140,7 @@ def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float
 
 
 def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
+    """Standard deviations in the units of the recording, by column, from the elements of measured quantities."""
     sigmas = {
         name: nodes[name].read_number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
     }
@@ -173,6 +175,7 @@ def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
 
 
 def _seconds_of_stamp(stamp: str) -> float:
+    """Time [s] of an ISO date and time; NaN if the text is not one."""
     try:
         return datetime.fromisoformat(stamp).replace(tzinfo=None).timestamp()
     except (ValueError, OverflowError, OSError):

@@ -122,6 +122,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_setup(line: str, dialect: _Dialect, field_book: FieldBook, location: SourceLocation) -> None:
+    """Addition of the set-up in a station record (02) to the field book."""
     (name,), (first, second, z_text, height) = dialect.fields(line, 1, 4)
     plan_coordinates = [_parse_number(text, location) * dialect.length_factor / MILLIMETRE for text in (first, second)]
     y, x = plan_coordinates if dialect.is_north_first else plan_coordinates[::-1]
@@ -145,6 +146,10 @@ def _read_observation(
     height: float,
     is_from_horizon: bool,
 ) -> None:
+    """Addition of the pointing in an observation record (09F1, 09F2) to the field book; raises RecordError.
+
+    `height` is the height of the target [m]; `is_from_horizon` is True if vertical angles are elevations.
+    """
     (station, target), cells = dialect.fields(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
@@ -163,4 +168,5 @@ def _read_observation(
 
 
 def _parse_number(text: str, location: SourceLocation) -> float:
+    """Number in a field of a record; NaN for an empty field."""
     return location.parse_number(text) if text.strip() else NOT_MEASURED

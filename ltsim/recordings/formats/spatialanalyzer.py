@@ -191,6 +191,7 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
 
 
 def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
+    """Addition of the position or the rotation in a line of the pose to the section of its set-up."""
     if fields[0] == "# Meas." and len(fields) > 1:
         block.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
