@@ -44,10 +44,10 @@ POSSIBLE_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 """Units that the angles of a file may have; the data or the user's hint decide which."""
 VERTICAL_ANGLE_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_DECISIVE_CONVENTION_RATIO = 10.0
-"""Smallest ratio with which the data decide between two conventions: of the misfits (second-best to best), or of the
-numbers of agreeing targets (best to second-best)."""
+"""Smallest ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
+(second-best to best), or of the numbers of agreeing targets (best to second-best)."""
 MAX_RELATIVE_MIRROR_MISFIT = 1e-3
-"""Median distance of mirrored points from reference points, divided by the network's size, below which both fit."""
+"""Median distance of mirrored points from reference points, divided by the network's size, below which they agree."""
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists, and of reported warnings about mirror images."""
 MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1

@@ -54,7 +54,7 @@ NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east",
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Possible numbers of fields in a line without header: name, x, y, z, then 3 or 4 sigmas, then a covariance."""
 POINT_NAME_ROLES = ("target", "station", "", "time", "date")
-"""Roles of the columns that may contain the names of points; the first role that a header contains is used."""
+"""Contents of columns that may name the points of a list; the first that a header contains is used."""
 EXPECTED_POINT_LIST_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"

@@ -46,7 +46,7 @@ _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MAX_POINTING_TIME_S = 2e18
 """Largest permitted time [s] of a pointing. Unix time in nanoseconds (1.8e18), read as seconds, is below this limit."""
 MIN_COS_ELEVATION_DIVISOR = 1e-6
-"""Lower limit of the cosine of the elevation by which the standard deviation across the beam is divided."""
+"""Smallest value used for the cosine of the elevation, by which the standard deviation across the beam is divided."""
 MIN_COS_ELEVATION_FOR_ANGLES = 1e-4
 """Cosine of the elevation below which the adjustment does not use the angles of a pointing (21 arcsec from the vertical
 axis).

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 FIELD_BOOK_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
-"""Advice for a field book of a total station in an unsupported format."""
+"""Advice on what to export instead of a total station's field book in an unsupported format."""
 NUMERICAL_PROGRAM_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Advice for a file of a numerical program, such as MATLAB."""
+"""Advice on what to write instead of a file of a numerical program, such as MATLAB."""
 METROLOGY_DATABASE_ADVICE = (
     "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
 )
-"""Advice for the database in which a metrology program stores its jobs."""
+"""Advice on what to export instead of the database in which a metrology program stores its jobs."""
 UNSUPPORTED_WORKBOOK_ADVICE = "save it as xlsx or CSV"
-"""Advice for a workbook in an unsupported format."""
+"""Advice on what to save instead of a workbook in an unsupported format."""
 
 
 @dataclass(frozen=True)

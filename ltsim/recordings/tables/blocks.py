@@ -38,7 +38,7 @@ class StationContext:
     height_columns: list[TableColumn] = field(default_factory=list)
     """Columns for the heights that lines have given so far, one for each kind of height."""
     heights: dict[str, str] = field(default_factory=dict)
-    """Heights that apply to the next rows, as texts, by the role of their column (such as `instrument_height_mm`)."""
+    """Heights that apply to the next rows, as texts, by name of their column (such as `instrument_height_mm`)."""
     is_station_named: bool = False
     """True if a line has named a station, not only an instrument."""
 

@@ -12,7 +12,7 @@ from ltsim.recordings.tables.pointing_table import PointingTable
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
-    """Table whose column of times is known; the table is changed in place.
+    """Table in which the column of times is determined; the table is changed in place.
 
     If no title denotes times, the first additional column with times of day is used. A column of rounds in which each
     round has one pointing becomes an additional column, because a round is a set of directions to several targets.

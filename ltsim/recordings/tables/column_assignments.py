@@ -1,4 +1,4 @@
-"""Option ``--columns``, with which the user assigns roles to columns of a table by title or number."""
+"""Option ``--columns``, with which the user states the role (content) of columns of a table, by title or number."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from ltsim.recordings.tables.header import (
 from ltsim.recordings.tables.title_words import TITLES_BY_ROLE
 
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLES_BY_ROLE, *SIGMA_ROLES.values())))
-"""Roles that the option ``--columns`` accepts."""
+"""Roles (contents of a column, such as `azimuth`) that the option ``--columns`` accepts."""
 
 
 def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:

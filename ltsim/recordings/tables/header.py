@@ -1,4 +1,4 @@
-"""Interpretation of the header of a table: role, unit and face of each column from its title, in several languages."""
+"""Interpretation of a table's header: role (content), unit and face of each column, from titles in many languages."""
 
 import re
 import unicodedata
@@ -37,7 +37,8 @@ SIGMA_ROLES = {
     **dict.fromkeys(VERTICAL_ROLES, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
-"""Role of the column of standard deviations that belongs to a column with the given role."""
+"""Role of the column of standard deviations that belongs to a column of readings or coordinates, by the role of the
+latter. The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
@@ -47,7 +48,8 @@ ROLE_BY_TITLE = {
         for word in text.split()
     },
 }
-"""Role that each known title denotes; titles are in the form of `normalised_title`."""
+"""Role of a column (its content, such as `azimuth`) that each known title denotes; titles are in the form of
+`normalised_title`."""
 UNITS_BY_ROLE = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
@@ -61,7 +63,8 @@ UNITS_BY_ROLE = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Permitted units of a column, by role; a column whose title has another unit does not have this role."""
+"""Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
+have this role."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
 """Titles of columns of names or numbers of set-ups."""
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
@@ -70,12 +73,12 @@ FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
-"""Titles, by role, that denote this role only if no other title of the header does."""
+"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role."""
 ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup"}
-"""Role ('' for none) of a column with a title in `FALLBACK_TITLES` whose role another column already has. For example,
-set-up numbers in a table with a column of stations number the occupations."""
+"""Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
+role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80
-"""Largest number of characters of a cell that is tested as a title."""
+"""Largest number of characters of a cell that can be the title of a column."""
 _UNIT_IN_BRACKETS_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
 """Pattern of a title followed by its unit in brackets."""
 _REMOVED_CHARACTERS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
@@ -107,16 +110,16 @@ _VALUE_ENDING_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 _NUMBER_ENDING_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
 """Pattern of a title that ends with a word for a number or a name, such as "no"."""
 ROLES_WITH_NUMBER_ENDINGS = ("station", "round")
-"""Roles whose titles may end with a word for a number or a name, as in "station no". The corresponding titles of
-targets and instruments are listed separately."""
+"""Roles (contents) of columns whose titles may end with a word for a number or a name, as in "station no". Such titles
+of targets and instruments are listed separately."""
 
 
 @dataclass(frozen=True)
 class TableColumn:
     """Column of a table: position (from 0), title, role, unit, face.
 
-    The role denotes the content of the cells, such as ``target``, ``azimuth`` or ``time``; '' if unknown. The unit is
-    '' if not declared. The face is 1 or 2, or 0 for a column that applies to both faces.
+    The role is the content of the cells, such as ``target``, ``azimuth`` or ``time``; '' if unknown. The unit is '' if
+    not declared. The face is 1 or 2, or 0 for a column that applies to both faces.
     """
 
     position: int
@@ -143,7 +146,7 @@ class TableColumn:
 
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
-    """Columns with the titles `fields`, each with the role and unit that its title implies, as a new list."""
+    """Columns with the titles `fields`, each with the role (content) and unit that its title implies, as a new list."""
     return list(_compute_header_columns(tuple(fields)))
 
 
@@ -276,13 +279,13 @@ def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
 
 
 def count_recognised_titles(fields: Sequence[str]) -> int:
-    """Number of `fields` that are titles with a known role."""
+    """Number of `fields` that are known titles of columns."""
     return sum(map(_is_recognised_title, fields))
 
 
 @lru_cache(maxsize=65_536)
 def _is_recognised_title(title: str) -> bool:
-    """True if a title, with or without unit, denotes a known role."""
+    """True if a title, with or without unit, is a known title of a column."""
     degrees_match = _match_unit_ending(_ANGLE_PART_PATTERNS[0], title)
     return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 
@@ -338,7 +341,10 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role that a title without unit denotes, such as `sigma_azimuth_arcsec` for `haerror`; '' if unknown."""
+    """Role (content of the column) that a title without unit denotes, such as `sigma_azimuth_arcsec` for `haerror`.
+
+    The result is '' for an unknown title.
+    """
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
@@ -359,7 +365,7 @@ def normalised_title(text: str) -> str:
 
 
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
-    """Column at `position` with the role, unit and, if `has_face`, face that its title implies."""
+    """Column at `position` with the role (content), unit and, if `has_face`, face that its title implies."""
     name, unit = title_words_and_unit(title)
     role, face = title_role(name), 0
     face_match = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
@@ -384,7 +390,10 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of reading of a column with this role: ``horizontal``, ``vertical``, ``distance``; or the role itself."""
+    """Kind of reading (``horizontal``, ``vertical``, ``distance``) in a column with this role; other roles unchanged.
+
+    The role of a column is its content, such as `zenith`.
+    """
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]

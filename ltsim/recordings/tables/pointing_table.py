@@ -113,7 +113,7 @@ class UnconvertedPointings:
     thousands_separator: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing; '' for none."""
     digit_texts_by_role: dict[str, DigitTexts] = field(default_factory=dict)
-    """Numbers (n,) in the columns of readings and heights, as digits, by role of the column."""
+    """Numbers (n,) of each column of readings or heights, as texts of digits, by role (content) of the column."""
     additional_cells: dict[str, list[str]] = field(default_factory=dict)
     """Cells of the additional columns, by title; '' for a row without cell."""
 
@@ -224,7 +224,7 @@ class PointingTable:
     """Unit of the symbols in the cells of a column, by title of the column."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """First column whose role is in `kind`; None if there is no such column."""
+        """First column whose role (content, such as `azimuth`) is in `kind`; None if there is no such column."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property

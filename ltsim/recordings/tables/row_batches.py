@@ -192,7 +192,7 @@ class RowBatchReader:
 
 
 def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
-    """Cells of a row, shortened or extended by empty cells at the end to a number of `width`."""
+    """Cells of a row, extended by empty cells or shortened at the end, so that there are `width` cells."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
 

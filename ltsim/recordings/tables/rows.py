@@ -36,9 +36,9 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.tables.title_words import SUMMARY_ROW_FIRST_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
-"""Roles of the columns in a table without header, by position."""
+"""Contents of the columns, in order, of a table without header."""
 MIN_HEADER_TITLES = 2
-"""Smallest number of titles with known roles in a header: those of two angles, or of an angle and a distance."""
+"""Smallest number of known titles in a header: those of two angles, or of an angle and a distance."""
 
 
 def read_pointing_table(
@@ -270,7 +270,7 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Notes on columns that become additional columns because an earlier column has the role of their title."""
+    """Notes on columns that become additional columns because an earlier column already has their content."""
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [

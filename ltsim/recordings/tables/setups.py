@@ -32,7 +32,8 @@ OCCUPATION_NAMES_BY_ROLE = (
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
 )
-"""Roles of the columns that can distinguish occupations, in order of priority, each with its name in notes."""
+"""Roles (contents) of the columns that can distinguish occupations, in order of priority, each with its name in notes.
+"""
 MIN_ROWS_OF_OCCUPATION = 3
 """Smallest number of rows with one height of the instrument that makes this height an occupation; in fewer rows the
 height may be a mistake."""

@@ -1,4 +1,4 @@
-"""Known titles of columns by role, in English, German and other languages.
+"""Known titles of columns by role (content of the column), in English, German and other languages.
 
 Titles are written in lower case, without blanks, accents and punctuation. Letters such as `ł` and `ø`, which are not
 letters with an accent, are omitted. East Asian titles are unchanged.
@@ -52,7 +52,7 @@ TITLES_BY_ROLE = {
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
-"""English and German titles by role of the column, separated by blanks."""
+"""English and German titles of columns by role (content, such as `azimuth`), separated by blanks."""
 SUMMARY_ROW_FIRST_WORDS = (
     "sum total count mean average avg median min max minimum maximum std stddev rms summe gesamt anzahl mittel "
     "mittelwert somme moyenne nombre suma media promedio somma totale numero"
@@ -214,7 +214,7 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "relative_humidity_pct": "습도 상대습도",
     },
 }
-"""Titles in other languages, by language and role of the column."""
+"""Titles of columns in other languages, by language and role (content, such as `azimuth`)."""
 STATION_TITLE_FIRST_WORDS = (
     "instrument",
     "instruments",
