@@ -238,7 +238,7 @@ class SearchSpace(ValueEquality):
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
-        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
+        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence_angle - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, target_indices: Ints) -> str:
         """Sentence on targets (by index) that no position on the floor sees, with the action to take."""

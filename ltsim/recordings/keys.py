@@ -23,7 +23,7 @@ def _require_nonzero(vector: tuple[float, float, float]) -> tuple[float, float, 
     return vector
 
 
-def _require_not_tiny(value: float) -> float:
+def _require_min_positive(value: float) -> float:
     """Unchanged `value`; raises ValueError if it is smaller than `MIN_POSITIVE`."""
     if value < MIN_POSITIVE:
         raise ValueError(f"it should be at least {MIN_POSITIVE:g}")
@@ -82,7 +82,7 @@ NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 MIN_POSITIVE = 1e-9
 """Smallest permitted value of a number that must be positive, in the unit of its key: results are divided by its
 square."""
-Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_not_tiny)]
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_min_positive)]
 """Number from `MIN_POSITIVE` to 1e9."""
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 """Elevation from -90 to 90 deg."""

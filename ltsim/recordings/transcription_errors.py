@@ -94,7 +94,7 @@ WRONG_FACE_ERRORS = (
 )
 """Transcription errors of an angle that belongs to the other face."""
 
-MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
+MAX_ANGLE_READ_AS_RADIANS = 2 * np.pi + 0.01
 """Largest angle [rad] in a column that may contain radians: a full circle plus 0.01 for rounding."""
 MIN_LONGEST_DISTANCE_MM = 200.0
 """Number below which the longest distance of a recording is in metres, because recordings have distances of more than
@@ -294,7 +294,7 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> WrongCo
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:
     """Check that the columns of angles do not contain radians; raises RecordError."""
     angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
-    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
+    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_ANGLE_READ_AS_RADIANS:
         return
     has_wide_range = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured_columns * [MILLIMETRE, 1.0, 1.0]

@@ -63,7 +63,7 @@ class SightLimits:
     """Shortest measurable range [m]."""
     range_max: float = 20.0
     """Longest measurable range [m]."""
-    max_incidence: float = 30.0 * DEGREE
+    max_incidence_angle: float = 30.0 * DEGREE
     """Largest angle of incidence [rad] on a reflector."""
     declared_shadow_cone_opening: float | None = None
     """Full opening angle [rad] of the shadow cone: the cone below the instrument in which its stand hides targets. If
@@ -200,7 +200,7 @@ def compute_visibility(
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.shadow_cone_opening - 0.5 * np.pi
     checks = (
-        (InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
+        (InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE, incidence > limits.max_incidence_angle + LIMIT_TOLERANCE),
         (InvisibilityReason.IN_STAND_SHADOW, elevation < shadow - LIMIT_TOLERANCE),
         (InvisibilityReason.ABOVE_MAX_ELEVATION, elevation > limits.elevation_max + LIMIT_TOLERANCE),
         (InvisibilityReason.BELOW_MIN_ELEVATION, elevation < limits.elevation_min - LIMIT_TOLERANCE),

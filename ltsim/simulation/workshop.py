@@ -241,7 +241,7 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
         elevation_max=limits.elevation_max_deg * DEGREE,
         range_min=limits.range_min_mm * MILLIMETRE,
         range_max=limits.range_max_mm * MILLIMETRE,
-        max_incidence=scenario.smr.acceptance_deg * DEGREE,
+        max_incidence_angle=scenario.smr.acceptance_deg * DEGREE,
         declared_shadow_cone_opening=None if cone is None else cone * DEGREE,
     )
 

@@ -26,7 +26,7 @@ from ltsim.recordings.recording import Recording
 
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 """Pattern of a word: index, information, sign, and 16 or 8 characters of data."""
-_PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
+_SCALE_CORRECTION_WORD_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 """Pattern of word 51, which contains the scale correction and the prism constant."""
 GSI_LENGTH_FACTORS_BY_UNIT_CODE = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 """Factor from the data of a word to m, by the code of its unit (last character of the word's information)."""
@@ -51,7 +51,7 @@ class _GsiBlock:
         words = {}
         for text in line.lstrip("*").split():
             match = _WORD_PATTERN.fullmatch(text)
-            if _PPM_PATTERN.fullmatch(text):
+            if _SCALE_CORRECTION_WORD_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != is_wide:
                 raise location.error(f"'{safe_excerpt(text)}' is not a word of GSI-{16 if is_wide else 8}")

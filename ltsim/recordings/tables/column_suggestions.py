@@ -17,7 +17,7 @@ from ltsim.recordings.tables.header import (
     unknown_unit_sentence,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_LONGEST_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
 """Largest number of rows from which proposals are derived."""
@@ -186,7 +186,7 @@ def _possible_conventions(
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
-    elif max_value < MAX_CIRCLE_RADIANS:
+    elif max_value < MAX_ANGLE_READ_AS_RADIANS:
         units = ("rad",)
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)

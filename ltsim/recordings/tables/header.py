@@ -130,7 +130,7 @@ class TableColumn:
     angle_part_positions: tuple[int, ...] = ()
     """Positions of the columns of minutes and seconds that belong to the degrees in this column."""
 
-    def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
+    def cell_texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
         """Cells of this column, joined with the cells of minutes and seconds; `table` is the cells of all columns."""
         if not self.angle_part_positions:
             return table[self.position]

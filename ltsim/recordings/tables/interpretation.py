@@ -140,7 +140,7 @@ def interpret_readings(
     """
     if table.has_coordinates:
         return _readings_from_coordinates(table, hints, file)
-    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
+    columns = {kind[0]: table.column_with_role(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_by_kind = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     pointings = table.pointings
     station, target = pointings.name_indices("station"), pointings.name_indices("target")
@@ -169,7 +169,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
         (DISTANCE_ROLES, "distances", LENGTH_UNITS),
     ):
         columns = [c for c in table.columns if c.is_additional and not c.role and _unit_in_title(c) in units]
-        if columns and table.column(kind) is None:
+        if columns and table.column_with_role(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{safe_excerpt(c.title)}'" for c in columns)
             notes.append(
                 f"no column is recognised as {name}, so the recording contains none; if {titles} contains them, give "
@@ -233,7 +233,7 @@ def _length_convention(
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not MIN_LONGEST_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
         return distance_unit_from_size(polar.distance, hints)
-    if table.column(("flat",)) is not None:
+    if table.column_with_role(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
@@ -274,7 +274,7 @@ def _azimuth_sense(
             return azimuth, [
                 f"azimuths are interpreted as {azimuth}, because all stations at their approximate positions then agree"
             ]
-    column = table.column(HORIZONTAL_ROLES)
+    column = table.column_with_role(HORIZONTAL_ROLES)
     if table.is_positional or column is None:
         raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
     if column.role == "horizontal":
@@ -344,13 +344,17 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
     `readings` (n, 3) are the readings [m, rad, rad] computed from the coordinates. `length` is the unit of columns that
     declare none. The result is empty without coordinates or without standard deviations.
     """
-    columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
+    columns = [
+        table.column_with_role((SIGMA_ROLES[axis],)) or table.column_with_role((COMMON_SIGMA_ROLE,))
+        for axis in COORDINATE_ROLES
+    ]
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
     if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
     pointings = table.pointings
     columns_of_numbers = [
-        map(cells.parse_number_or_angle, pointings.texts(title), pointings.thousands_separator) for title, _ in titles
+        map(cells.parse_number_or_angle, pointings.additional_cell_texts(title), pointings.thousands_separator)
+        for title, _ in titles
     ]
     pointings.additional_cells = {
         title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)

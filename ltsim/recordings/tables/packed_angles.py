@@ -16,7 +16,7 @@ seconds below 60. By chance this is so for a decimal angle with a probability of
 MIN_PACKED_DIGITS = 4
 """Smallest number of decimals of a packed angle, for minutes and seconds."""
 
-N_CELLS_TESTED_FIRST = 1000
+N_CELLS_TESTED_FOR_PACKED_ANGLES = 1000
 """Number of cells of each column that are tested before the rest, to save time."""
 
 
@@ -33,7 +33,9 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
         for c in columns
         if c.role in table.pointings.digit_texts_by_role
     }
-    if not _are_packed(np.concatenate([digits[:N_CELLS_TESTED_FIRST] for digits in digit_texts_by_role.values()])):
+    if not _are_packed(
+        np.concatenate([digits[:N_CELLS_TESTED_FOR_PACKED_ANGLES] for digits in digit_texts_by_role.values()])
+    ):
         return table
     all_values = np.concatenate(list(digit_texts_by_role.values()))
     if not _are_packed(all_values):

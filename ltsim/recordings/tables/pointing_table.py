@@ -149,7 +149,7 @@ class UnconvertedPointings:
         rounds = {*zip(self.station, self.round_label, strict=True)}
         return len(rounds) == len(self) and len({*self.target}) > 1
 
-    def texts(self, title: str) -> list[str]:
+    def additional_cell_texts(self, title: str) -> list[str]:
         """Cells, n texts, of the additional column with this title; all are '' if there is no such column."""
         return self.additional_cells.get(title) or [""] * len(self)
 
@@ -187,7 +187,7 @@ def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointin
         role: np.concatenate([part.digit_texts_by_role.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
-    additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
+    additional_cells = {title: _concatenate(part.additional_cell_texts(title) for part in tables) for title in titles}
     return UnconvertedPointings(*[*list_columns, digit_texts_by_role, additional_cells])
 
 
@@ -223,7 +223,7 @@ class PointingTable:
     cell_units: dict[str, str] = field(default_factory=dict)
     """Unit of the symbols in the cells of a column, by title of the column."""
 
-    def column(self, kind: Sequence[str]) -> TableColumn | None:
+    def column_with_role(self, kind: Sequence[str]) -> TableColumn | None:
         """First column whose role (content, such as `azimuth`) is in `kind`; None if there is no such column."""
         return next((c for c in self.columns if c.role in kind), None)
 

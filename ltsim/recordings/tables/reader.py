@@ -127,9 +127,9 @@ def assemble_recording(
     covariates, labels, column_notes = _additional_columns(table, interpretation)
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
-    has_circle = is_total_station or table.column(("horizontal",)) is not None
+    has_circle = is_total_station or table.column_with_role(("horizontal",)) is not None
     same_position, occupation_notes = split_occupations(table, readings, azimuth_sigma, has_circle=has_circle)
-    is_levelled = is_total_station and table.column(("elevation",)) is None
+    is_levelled = is_total_station and table.column_with_role(("elevation",)) is None
     setup, level_notes = with_setups_over_marks(table, setup, readings, rounds=same_position, levelled=is_levelled)
     faces, face_notes = _pointing_faces(table, readings)
     times, start_moment, time_notes = pointing_times(table, hints)
@@ -144,7 +144,7 @@ def assemble_recording(
         sigma_mm = setup.height_above_mark_sigma_mm or DEFAULT_HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
-    if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
+    if time_notes and table.column_with_role(("date",)) is not None:  # a text where it is no clock
         labels["date"] = pointings.date_and_time
     if "flat" in pointings.digit_texts_by_role:
         slope = pointings.digit_texts_of_roles(("distance",))
@@ -330,7 +330,7 @@ def total_station_reason(table: PointingTable, interpretation: TableConventions,
     if table.has_coordinates:
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
-    if table.column(("flat",)) is not None:
+    if table.column_with_role(("flat",)) is not None:
         return "it contains horizontal distances"
     if not len(ranges):
         return ""
@@ -349,6 +349,6 @@ def total_station_reason(table: PointingTable, interpretation: TableConventions,
     )
     if digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
-    if table.column(("instrument_height_mm",)) is not None and digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M / 10:
+    if table.column_with_role(("instrument_height_mm",)) is not None and digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""

@@ -95,7 +95,7 @@ class RowBatchReader:
         digit_texts_by_role: dict[str, DigitTexts] = {}
         for c in columns:
             if c.role in READING_ROLES:
-                digits = self._numbers(c.texts(table), c, row_batch.line)
+                digits = self._numbers(c.cell_texts(table), c, row_batch.line)
                 filled = digits != b""
                 if filled.any():
                     earlier_digits = digit_texts_by_role.get(c.role)

@@ -63,7 +63,7 @@ def read_pointing_table(
             continue
         reader = _SheetReader(sheet, hints)
         if start is not None or positional:
-            table = reader.read_positional() if start is None else reader.read(start)
+            table = reader.read_without_header() if start is None else reader.read(start)
             joined_table.add_sheet(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.n_numeric_fields > 2 for row in sheet.rows[:50]):
@@ -143,7 +143,7 @@ class _SheetReader:
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
         return self._read_rows(sheet_rows[max(header_row, 0) :])
 
-    def read_positional(self) -> PointingTable:
+    def read_without_header(self) -> PointingTable:
         """Pointings in lines with station, target and three numbers, or with target and three numbers."""
         first_row = next((row for row in self.sheet.rows if not row.is_comment), None)
         roles = POSITIONAL_ROLES[1:] if first_row is not None and len(first_row.fields) == 4 else POSITIONAL_ROLES

@@ -175,7 +175,7 @@ def split_occupations(
     )
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
-    if table.column(("round",)) is not None:
+    if table.column_with_role(("round",)) is not None:
         by_round, round_index = distinct_with_indices(
             zip(occupation_index.tolist(), pointings.round_label, strict=True)
         )
@@ -202,7 +202,9 @@ def split_occupations(
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        column_name = next((name for role, name in OCCUPATION_NAMES_BY_ROLE if table.column((role,)) is not None), "")
+        column_name = next(
+            (name for role, name in OCCUPATION_NAMES_BY_ROLE if table.column_with_role((role,)) is not None), ""
+        )
         occupations_text = f"{len(occupations)} occupations of {len(marks)} marks"
         notes.append(f"{occupations_text}, distinguished by {column_name}, are separate set-ups")
     if is_rotated:
@@ -219,10 +221,10 @@ def split_occupations(
 
 def _occupation_labels(table: PointingTable) -> list[str]:
     """Text for each pointing that distinguishes its occupation from other occupations of its survey mark."""
-    pointings, column = table.pointings, table.column(("instrument_setup",))
+    pointings, column = table.pointings, table.column_with_role(("instrument_setup",))
     if column is not None:
-        return pointings.texts(column.title)
-    if table.column(("date",)) is None:
+        return pointings.additional_cell_texts(column.title)
+    if table.column_with_role(("date",)) is None:
         return _occupation_labels_by_height(table)
     days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*pointings.date_and_time}}
     return [days[moment] for moment in pointings.date_and_time]
@@ -234,12 +236,12 @@ def _occupation_labels_by_height(table: PointingTable) -> list[str]:
     The height is constant during an occupation. If a height occurs in few rows of a survey mark, or occurs again later,
     it may be wrong, and the mark has one occupation.
     """
-    column = table.column(("instrument_height_mm",))
+    column = table.column_with_role(("instrument_height_mm",))
     setup_numbers = [""] * len(table.pointings)
     rows_by_mark: dict[str, list[int]] = {}
     for row, mark in enumerate(table.mark_names if column is not None else ()):
         rows_by_mark.setdefault(mark, []).append(row)
-    heights = table.pointings.texts(column.title) if column is not None else []
+    heights = table.pointings.additional_cell_texts(column.title) if column is not None else []
     for rows in rows_by_mark.values():
         runs = [list(run) for _, run in groupby((row for row in rows if heights[row]), key=heights.__getitem__)]
         is_occupation = len({heights[run[0]] for run in runs}) == len(runs) > 1
@@ -288,7 +290,7 @@ def with_setups_over_marks(
     their name if lines measured in both directions close. `rounds` are names of set-ups that share their position with
     other set-ups of one occupation. `readings` (n, 3) [m, rad, rad] are those of n pointings.
     """
-    heights = table.column(("instrument_height_mm",)) is not None
+    heights = table.column_with_role(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
     names = dict.fromkeys(table.pointings.station)
     marks = {name: table.mark_by_setup.get(name, name) for name in names}
@@ -352,7 +354,7 @@ def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     They are for tables without such columns: mark and day distinguish occupations of a survey mark.
     """
     pointings = table.pointings
-    days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
+    days = pointings.date_and_time if table.column_with_role(("time",)) is None else [""] * len(pointings)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark_names, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))

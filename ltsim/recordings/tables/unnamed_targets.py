@@ -63,7 +63,11 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
     """Titles of columns that may name targets: no role or unit, and texts or whole numbers that partly repeat."""
     titles = []
     for column in table.columns:
-        distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
+        distinct = (
+            {*table.pointings.additional_cell_texts(column.title)}
+            if column.is_additional and not column.role
+            else set()
+        )
         are_names = all(text.isdigit() or not is_numeric(text) for text in distinct)
         if are_names and not column.unit and "" not in distinct and 1 < len(distinct) < len(table.pointings):
             titles.append(safe_excerpt(column.title))
