@@ -71,7 +71,7 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
     state = NetworkState(position, rotation, points[names], np.zeros((1, 0)))
     exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)
-    return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
+    return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
 def measured(case: Case) -> dict[str, float | str]:

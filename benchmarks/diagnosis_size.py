@@ -66,7 +66,7 @@ def watched(pointings: int) -> Recording:
     state = NetworkState(np.array([[0.0, 0.0, 1.6]]), rotation_about_z(0.0)[None], points, np.zeros((1, 0)))
     exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)
-    return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
+    return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
 def measured(kind: str, pointings: int) -> dict[str, Any]:

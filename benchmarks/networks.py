@@ -63,7 +63,7 @@ def room(stations: int, targets: int) -> TrueNetwork:
         instruments=("",),
         instrument_means=0 * sigma,
         instrument_sigmas=sigma,
-        noise_sigmas=recording.sigma(),
+        noise_sigmas=recording.reading_sigmas(),
         reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=names,
     )

@@ -55,7 +55,7 @@ class DenseProblem:
 
     @cached_property
     def _sigma(self) -> Floats:
-        return self.recording.sigma()
+        return self.recording.reading_sigmas()
 
     @cached_property
     def _prior_sigma(self) -> Floats:
@@ -111,7 +111,7 @@ class DenseProblem:
         raw, _, _, points, values = self._evaluated(x)
         gap = raw - self.recording.readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
-        lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.sigma
+        lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.total_sigmas
         return np.concatenate([(gap / self._sigma).ravel(), lengths, values / self._prior_sigma])
 
     def jacobian(self, x: Floats) -> Floats:
@@ -135,7 +135,7 @@ class DenseProblem:
 
     def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
         gauge = self._gauge
-        unit = gauge.unit_vectors(points) / gauge.sigma[:, None]
+        unit = gauge.unit_vectors(points) / gauge.total_sigmas[:, None]
         at = start + np.arange(len(gauge))[:, None]
         design[at, poses + 3 * gauge.first_targets[:, None] + np.arange(3)] = unit
         design[at, poses + 3 * gauge.second_targets[:, None] + np.arange(3)] = -unit

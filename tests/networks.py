@@ -102,7 +102,7 @@ def network(
     recording = recording.with_readings(readings)
     if seed is not None:
         noise = random_stream(seed, "noise").standard_normal(readings.shape)
-        recording = recording.with_readings(readings + recording.sigma() * noise)
+        recording = recording.with_readings(readings + recording.reading_sigmas() * noise)
     return recording, Truth(state, built)
 
 
@@ -118,7 +118,7 @@ def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed
     model = MeasurementModel(recording, misalignment_construction(), (effect,))
     exact = model.predict(replace(truth.state, extra_parameters=np.array(values)))
     white = random_stream(seed, "noise").standard_normal(exact.shape)
-    return recording.with_readings(exact + noise * recording.sigma() * white)
+    return recording.with_readings(exact + noise * recording.reading_sigmas() * white)
 
 
 def share_removed(

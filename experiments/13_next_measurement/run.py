@@ -40,7 +40,7 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
         readings = readings + applied.effect.reading_change(
             sightings_at_state(recording, state), applied.parameter_values
         )
-    noise = random_stream(seed, "added").normal(size=readings.shape) * recording.sigma()
+    noise = random_stream(seed, "added").normal(size=readings.shape) * recording.reading_sigmas()
     added = np.arange(len(recording)) >= len(before)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))
 

@@ -64,8 +64,8 @@ def huber(recording: Path, out: Path) -> None:
     read = _calibrated(recording, out, robust=False)
     found = adjust(read, misalignment_construction())
     for _ in range(HUBER_ROUNDS - 1):
-        size = np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER
-        found = adjust(read, misalignment_construction(), sigma=read.sigma() * np.sqrt(np.maximum(size, 1.0)))
+        size = np.abs(np.nan_to_num(found.residuals / read.reading_sigmas())) / HUBER
+        found = adjust(read, misalignment_construction(), sigma=read.reading_sigmas() * np.sqrt(np.maximum(size, 1.0)))
     _targets(out, read.targets, 1e3 * found.state.target_points)
 
 

@@ -12,7 +12,7 @@ from ltsim.acceptance.spec import builtin_tests, points_around_instrument
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.recordings.specification import data_sheet
+from ltsim.recordings.specification import data_sheet_specification
 from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 BLOCK = 1000
@@ -20,7 +20,11 @@ BLOCK = 1000
 
 def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     """Largest point error over its limit (`share`), and whether each plan is passed: an instrument a row."""
-    limits, built, points = data_sheet(config["sheet"]), misalignment_construction(), points_around_instrument()
+    limits, built, points = (
+        data_sheet_specification(config["sheet"]),
+        misalignment_construction(),
+        points_around_instrument(),
+    )
     stated = limits.to_instrument()
     plans = {
         name: AcceptancePlan(

@@ -21,7 +21,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import components_across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.recordings.recording import noise_sigma
+from ltsim.recordings.recording import reading_sigmas_from_noise
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
@@ -113,7 +113,7 @@ class AcceptancePlan:
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
         flat = np.zeros(len(polar))
-        sigma = noise_sigma([self.declared_noise], flat.astype(int), polar[:, 0], flat)
+        sigma = reading_sigmas_from_noise([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean_constants: Floats, covariance: Floats, *, n_trials: int, seed: int) -> AcceptancePrediction:
@@ -304,7 +304,7 @@ def predicted_result(
         error_origin="predicted",
         plan_name=acceptance_settings.plan_name,
         specification=plan.specification,
-        sigma_assumption=plan.specification.assumption_sentence,
+        sigma_assumption=plan.specification.limit_interpretation_sentence,
         pass_probability=prediction.all_pass_probability,
         sentence=sentence,
         groups=group_summaries(tests, prediction.pass_probability_by_group),

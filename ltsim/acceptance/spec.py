@@ -17,7 +17,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.recordings.specification import Specification, completed_specification_values, data_sheet
+from ltsim.recordings.specification import Specification, completed_specification_values, data_sheet_specification
 from ltsim.recordings.tables.sheets import read_small_table
 
 TestKind = Literal["length", "two-face"]
@@ -266,7 +266,7 @@ class AcceptanceSettings(TomlSection):
         if self.specification is not None:
             return self.specification
         try:
-            return data_sheet(self.instrument or "")
+            return data_sheet_specification(self.instrument or "")
         except ModelError as problem:
             raise InputError(str(problem)) from None
 

@@ -35,7 +35,7 @@ from ltsim.physics.model.construction import construction_of_beam_origin
 from ltsim.recordings import read
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 
 MAX_PREDICTED_TESTS = 2_000
 """Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
@@ -213,7 +213,7 @@ def evaluated_result(
     return (
         content
         if recording is None
-        else content.model_copy(update={"recording": SourceEntry.from_recording(recording)})
+        else content.model_copy(update={"recording": ResultSource.from_recording(recording)})
     )
 
 

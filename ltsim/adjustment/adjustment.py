@@ -251,7 +251,7 @@ class Adjustment(Result):
     @cached_property
     def is_rejected_reading(self) -> Bools:
         """Flags (n, 3) of the rejected readings of n pointings; False for readings to undetermined targets."""
-        problem = replace(self.problem, is_used_reading=self.recording.is_usable)
+        problem = replace(self.problem, is_used_reading=self.recording.is_usable_reading)
         return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
 
     def flagged_readings(

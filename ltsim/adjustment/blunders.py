@@ -25,7 +25,7 @@ from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_AND_CONVENTION_ERRORS, shared_target_counts
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WRONG_FACE_ERRORS, shared_target_counts
 
 MAX_COMPARED_STATIONS = 30
 """Largest number of stations with which a station is compared (those that share most targets with it), because each
@@ -187,7 +187,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
     These pointings agree with their target after a correction of the unit or face.
     """
     recording = adjustment.recording
-    kinds = (WrongUnit.name, UNIT_AND_CONVENTION_ERRORS), (FaceConfusion.name, FACE_ERRORS)
+    kinds = (WrongUnit.name, UNIT_AND_CONVENTION_ERRORS), (FaceConfusion.name, WRONG_FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
@@ -263,7 +263,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         Blunders, one for each corrected station.
     """
     apparent_faces = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
-    wrong = recording.is_usable[:, 2] & (apparent_faces != recording.face)
+    wrong = recording.is_usable_reading[:, 2] & (apparent_faces != recording.face)
     is_back_face = recording.face == 2
     if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (is_back_face, ~is_back_face)):
         return recording, []

@@ -17,7 +17,7 @@ from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import reading_changes_per_air_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
+from ltsim.recordings.coordinates import AXIS_NAMES, covariance_csv_text
 from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, to_dense, weight_rows
 
 COVARIANCE_FILE_NAME = "targets.covariance.csv"
@@ -66,7 +66,7 @@ def coordinate_covariance_csv_text(
     is_determined = np.isfinite(np.diag(covariance))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
     determined_indices = np.flatnonzero(is_determined)
-    return covariance_text(
+    return covariance_csv_text(
         [coordinates[i] for i in determined_indices.tolist()],
         covariance[np.ix_(determined_indices, determined_indices)],
     )

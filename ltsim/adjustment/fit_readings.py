@@ -35,7 +35,7 @@ class FitReadings:
         """Readings of all pointings of a recording."""
         lift = sight_vector_offsets(recording)
         lift = np.zeros((len(recording), 3)) if lift is None else lift
-        return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
+        return cls(to_face(recording.readings, recording.face), recording.is_horizontal_distance, lift)
 
     @property
     def n_readings(self) -> int:

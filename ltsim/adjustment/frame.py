@@ -385,11 +385,11 @@ def _nan_median(values: Floats) -> Floats:
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
     """Points (n, 3) [m] of n pointings, with horizontal converted to slope distances; None without horizontal ones."""
-    is_horizontal = recording.is_horizontal
-    if not is_horizontal.any():
+    is_horizontal_distance = recording.is_horizontal_distance
+    if not is_horizontal_distance.any():
         return None
     readings = recording.readings.copy()
     if not np.isfinite(readings[:, 2]).any():
-        readings[is_horizontal, 2] = 0.0  # a network in plan has no elevations
-    readings[is_horizontal, 0] /= np.abs(np.cos(readings[is_horizontal, 2]))
+        readings[is_horizontal_distance, 2] = 0.0  # a network in plan has no elevations
+    readings[is_horizontal_distance, 0] /= np.abs(np.cos(readings[is_horizontal_distance, 2]))
     return from_polar(readings)

@@ -76,7 +76,7 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
-        is_used = recording.is_usable if reading_mask is None else recording.is_usable & reading_mask
+        is_used = recording.is_usable_reading if reading_mask is None else recording.is_usable_reading & reading_mask
         gauge, control, levels = (
             GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),
@@ -88,7 +88,7 @@ class NetworkProblem(NetworkRows):
         effect_sigmas += [size for errors in model.nuisance_errors for size in errors.plausible_sizes]
         return cls(
             model=model,
-            sigma=recording.sigma() if sigma is None else sigma,
+            sigma=recording.reading_sigmas() if sigma is None else sigma,
             prior=prior or ParameterPrior.from_sigmas(prior_sigmas(recording, model.construction)),
             effect_prior_sigmas=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
@@ -140,7 +140,7 @@ class NetworkProblem(NetworkRows):
         The set-up and the pointings of `model` are the same; the order of the pointings may differ.
         """
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
-        moved = replace(moved, sigma=theirs.sigma())
+        moved = replace(moved, sigma=theirs.reading_sigmas())
         vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(moved)["_sparsity_pattern"] = self._sparsity_pattern
@@ -290,7 +290,7 @@ class NetworkProblem(NetworkRows):
         yield from self._reading_derivatives(prediction)
         direction = self.gauge_rows.unit_vectors(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
-        yield gauge / self.gauge_rows.sigma[:, None]
+        yield gauge / self.gauge_rows.total_sigmas[:, None]
         yield self.control_rows.derivatives()
         yield self.control_rows_of_marks.derivatives()
         yield self.difference_rows.derivatives()
@@ -371,7 +371,7 @@ class NetworkProblem(NetworkRows):
         Weak priors do not count as observations, free rigid motions do not count as unknowns.
         """
         n_priors = int(np.isfinite(self.prior.sigma).sum())
-        n_lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
+        n_lengths = int(np.isfinite(self.gauge_rows.total_sigmas).sum())
         n_lengths -= n_lengths > 0 and not self.gauge_rows.is_scale_determined
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = (

@@ -58,11 +58,13 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
     """Reference values of a problem at a state, in the order of their equations, then the set-ups over marks."""
     recording, first, gauge = problem.model.recording, int(problem.is_used_reading.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
-    for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
+    for i in np.flatnonzero(np.isfinite(gauge.total_sigmas)).tolist():
         name = f"{recording.targets[gauge.first_targets[i]]}-{recording.targets[gauge.second_targets[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
-        yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+        yield ReferenceValueRows(
+            "length", name, "", gauge.total_sigmas[i : i + 1], gap[i : i + 1], first + reached, column
+        )
     first += len(gauge)
     points, marks, differences = problem.control_rows, problem.control_rows_of_marks, problem.difference_rows
     at, on, names = points.point_indices, marks.point_indices, problem.marks.mark_names
@@ -106,7 +108,7 @@ def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iter
 
     A wrong temperature of the lengths, or an error of their calibration, changes all lengths in proportion.
     """
-    gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
+    gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.total_sigmas)
     if felt.sum() > 1:
         shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.decorrelate(np.where(felt, problem.length_residuals(state), 0.0))

@@ -29,16 +29,16 @@ class GaugeRows(ReferenceLengths):
     remain in the system."""
 
     @cached_property
-    def sigma(self) -> Floats:
+    def total_sigmas(self) -> Floats:
         """Standard deviation of each of g lengths, (g,) [m]; infinite for lengths without weight."""
-        return np.where(self.is_unweighted, np.inf, super().sigma)
+        return np.where(self.is_unweighted, np.inf, super().total_sigmas)
 
     @cached_property
     def correlation_cholesky_factor(self) -> Floats | None:
         """Lower Cholesky factor (g, g) of the correlation matrix of g lengths; None for uncorrelated lengths."""
-        if not self.shared_error_changes:
+        if not self.shared_error_shifts:
             return None
-        shared_errors = np.array([*self.shared_error_changes.values()]) / self.sigma
+        shared_errors = np.array([*self.shared_error_shifts.values()]) / self.total_sigmas
         correlation = shared_errors.T @ shared_errors
         np.fill_diagonal(correlation, 1.0)
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
@@ -47,11 +47,11 @@ class GaugeRows(ReferenceLengths):
     def covariance_cholesky_factor(self) -> Floats:
         """Cholesky factor (g, g) [m] of the covariance of the g lengths; `decorrelate` multiplies by its inverse."""
         factor = self.correlation_cholesky_factor
-        return np.diag(self.sigma) if factor is None else self.sigma[:, None] * factor
+        return np.diag(self.total_sigmas) if factor is None else self.total_sigmas[:, None] * factor
 
     def decorrelate(self, length_changes: Floats) -> Floats:
         """Changes of g lengths [m], (g,) or for q parameters (g, q), whitened: with independent unit errors."""
-        scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
+        scaled_values = length_changes / (self.total_sigmas if length_changes.ndim == 1 else self.total_sigmas[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:

@@ -98,7 +98,7 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
         loose = is_undetermined_target(problem, state)
         gauge = problem.gauge_rows
         reached = problem.undetermined_unknowns.is_unmeasured_target | loose
-        idle = (reached[gauge.first_targets] | reached[gauge.second_targets]) & np.isfinite(gauge.sigma)
+        idle = (reached[gauge.first_targets] | reached[gauge.second_targets]) & np.isfinite(gauge.total_sigmas)
         use = problem.is_used_reading & ~loose[problem.model.recording.target][:, None]
         differences = problem.difference_rows.subset(~problem.is_undetermined_difference(reached))
         if (
@@ -130,7 +130,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(whitened_rows, 1, 2) @ whitened_rows)
     gauge, control = problem.gauge_rows, problem.control_rows
-    along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
+    along = gauge.unit_vectors(state.target_points) / gauge.total_sigmas[:, None]
     for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.point_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)

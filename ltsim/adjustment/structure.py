@@ -180,7 +180,7 @@ class UndeterminedUnknowns:
         )
         n_stations = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], n_stations) > 0 for i in range(3))
-        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
+        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal_distance)
         feels = np.bincount(recording.station, high, n_stations) > 0
         level, alone = (
             np.zeros(n_stations, dtype=bool),
@@ -311,7 +311,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     if (
         has_scale
         or control_axes[:, : 3 if has_height else 2].any()
-        or (has_height and any(height.any() for height in recording.heights()))
+        or (has_height and any(height.any() for height in recording.heights_above_marks()))
     ):
         return False
     targets = map(recording.target_setup, recording.targets)

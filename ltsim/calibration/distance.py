@@ -32,7 +32,7 @@ from ltsim.physics.model.construction import GeometricErrorModel, declared_const
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.solve.design import to_dense
 
 OBJECTIVE_NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
@@ -62,7 +62,7 @@ def calibrate_distance(
     model = construction or declared_construction(recording)
     parameter_prior = (parameter_selection or ParameterSelection()).prior_of(recording, model)
     prior, held = parameter_prior.sigma, parameter_prior.is_fixed
-    source = SourceEntry.from_recording(recording)
+    source = ResultSource.from_recording(recording)
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start_values = np.where(held, parameter_prior.mean / prior, 0.0).ravel()

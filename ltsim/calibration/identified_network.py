@@ -26,7 +26,7 @@ from ltsim.core.notation import names_text, number_text
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class IdentifiedNetwork:
 
     adjustment: Adjustment
     """Adjustment with the identified causes in its model."""
-    recording_entry: SourceEntry
+    recording_entry: ResultSource
     """Description of the recording file as it was read."""
     tests: tuple[CauseTest, ...]
     """Tests of the identified causes and of the outliers."""
@@ -78,7 +78,7 @@ class IdentifiedNetwork:
         except ConvergenceError as problem:
             raise ConvergenceError(f"{problem}; run ltsim diagnose on this recording", problem.solution) from problem
         tests = () if selection is None else cause_tests(selection)
-        return cls(adjustment, SourceEntry.from_recording(recording), tests, network_uncertainty_factor(adjustment))
+        return cls(adjustment, ResultSource.from_recording(recording), tests, network_uncertainty_factor(adjustment))
 
     @property
     def corrections_text(self) -> str:

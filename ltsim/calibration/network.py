@@ -33,7 +33,7 @@ from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import DISTANCE_METER_COLUMN, Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 
@@ -273,7 +273,7 @@ def _make_calibration(
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,
         axes=result.axes_entry(adjustment),
-        recording=SourceEntry.from_recording(source),
+        recording=ResultSource.from_recording(source),
         notes=result.network_notes(adjustment),
         **fields,
     )

@@ -141,7 +141,7 @@ class DistanceProblem:
         for i in range(count):
             rows = index == i
             design[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
-        return point, by_reading * recording.sigma()[:, None, :], design
+        return point, by_reading * recording.reading_sigmas()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
         """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings)."""

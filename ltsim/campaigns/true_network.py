@@ -219,7 +219,7 @@ class TrueNetwork:
         )
         return (
             (constant, design)
-            if np.all(np.abs(miss) <= MAX_EFFECT_NONLINEARITY_SIGMAS * self.recording.sigma())
+            if np.all(np.abs(miss) <= MAX_EFFECT_NONLINEARITY_SIGMAS * self.recording.reading_sigmas())
             else None
         )
 

@@ -99,7 +99,7 @@ def hints_from_texts(
     from ltsim.recordings import Hints
 
     value_by_key: dict[str, Any] = {}
-    types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
+    types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "is_growing")}
     for pair in key_value_texts or []:
         key, _, value = pair.partition("=")
         if key not in types or not value:
@@ -108,7 +108,7 @@ def hints_from_texts(
         if choices and value not in choices:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
         value_by_key[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**value_by_key, columns=columns, incomplete_tail=is_growing)
+    return Hints(**value_by_key, columns=columns, is_growing=is_growing)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.text_form import covariate_value_text, region_text
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.specification import noise_origin
 from ltsim.scene.sightings import Sightings
 
@@ -47,7 +47,7 @@ MAX_REPORTED_NOISE_SIZES = 12
 
 
 def assemble_diagnosis(
-    recording_entry: SourceEntry,
+    recording_entry: ResultSource,
     model_fit: SelectedModelFit,
     detectability: DetectabilityReport,
     test_findings: Sequence[Finding],

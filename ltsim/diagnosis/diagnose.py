@@ -64,7 +64,7 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import INSTRUMENT_CONSTANTS_BY_RESPONSE, instrument_constants_of_chain_error
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.solve.threads import single_threaded
 
 MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO = 0.5
@@ -158,7 +158,7 @@ def diagnose(
         held_out_log_odds=errors.log_odds_of_model,
     )
     detectability = detectability_report(initial_space, initial_designs)
-    recording_entry = SourceEntry.from_recording(recording)
+    recording_entry = ResultSource.from_recording(recording)
     return assemble_diagnosis(
         recording_entry,
         model_fit,
@@ -298,7 +298,7 @@ def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: boo
     The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` is
     empty, it equals the error without a model.
     """
-    nominal = state.recording.sigma()
+    nominal = state.recording.reading_sigmas()
     space, seed = state.searcher.space, state.seed
     if (state.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(state.refit((), np.maximum(state.reading_sigmas, nominal)).adjustment)

@@ -76,7 +76,7 @@ class SelectionState:
             false_alarm_rate,
             tests_ordinary_constants,
             effects_of_uncorrected_causes,
-            adjustment.recording.sigma(),
+            adjustment.recording.reading_sigmas(),
             ResidualSpace.from_adjustment(adjustment),
         )
 
@@ -155,7 +155,7 @@ class SelectionState:
             old.recording,
             old.construction,
             effects=old.effects,
-            sigma=old.recording.sigma(),
+            sigma=old.recording.reading_sigmas(),
             reading_mask=self.is_used_reading,
             start_state=old.state,
             prior=prior,
@@ -300,7 +300,7 @@ class SelectionState:
 
     def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) of the readings of n pointings with the given changes of the noise."""
-        sigma, sightings = self.recording.sigma(), self.baseline_adjustment.sightings
+        sigma, sightings = self.recording.reading_sigmas(), self.baseline_adjustment.sightings
         for change in noise_changes:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))
         return sigma

@@ -27,7 +27,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, ResultSource, Vector
 
 DISPLACEMENTS_TABLE = Table(
     "displacements.csv",
@@ -91,7 +91,7 @@ class Comparison(ResultFile):
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     """Format and version of this file."""
-    second_recording: SourceEntry | None
+    second_recording: ResultSource | None
     """Recording of the second epoch: name, size and digest of its data; null for a list of coordinates."""
     sentence: str
     """Sentence with the points that moved, or with the displacement that would have been detected."""
@@ -236,7 +236,7 @@ def congruence_test(
     difference: EpochDifference,
     stable_mask: Bools,
     alpha: float,
-    epoch_sources: tuple[SourceEntry, SourceEntry],
+    epoch_sources: tuple[ResultSource, ResultSource],
 ) -> Comparison:
     """Comparison of two epochs by a congruence test at the significance level `alpha`.
 

@@ -31,7 +31,7 @@ from ltsim.measurands.inputs import (
 )
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.setup import LengthGauge
 from ltsim.recordings.tables.setups import normalised_name
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
@@ -56,7 +56,7 @@ def compare_adjustments(
     indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     common_groups = _common_error_sources(first, second, same_instrument)
     before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
-    sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
+    sources = (ResultSource.from_recording(first.recording), ResultSource.from_recording(second.recording))
     return _compare_epochs(
         before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
     )
@@ -89,7 +89,7 @@ def compare_coordinates(
     )
     n_open = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
     notes = [*renamed, *([undetermined_motions_note(n_open)] if n_open else [])]
-    sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
+    sources = ResultSource.from_coordinates(first), ResultSource.from_coordinates(second)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
         before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
@@ -147,7 +147,7 @@ def _compare_epochs(
     stable_mask: Bools,
     is_declared_stable: Bools,
     alpha: float,
-    epoch_sources: tuple[SourceEntry, SourceEntry],
+    epoch_sources: tuple[ResultSource, ResultSource],
     axis_indices: Ints = ALL_AXIS_INDICES,
     notes: Sequence[str] = (),
 ) -> Comparison:
@@ -264,7 +264,7 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
         and later.gauge is not None
         and _gauge_without_temperatures(earlier.gauge) == _gauge_without_temperatures(later.gauge)
     ):
-        shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
+        shared = [a.problem.gauge_rows.shared_error_shifts for a in (first, second)]
         common += [
             REFERENCE_LENGTHS_SOURCE_NAME,
             *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR_PREFIX)),

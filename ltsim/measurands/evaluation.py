@@ -33,7 +33,7 @@ from ltsim.measurands.uncertainty import (
 )
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.solve.threads import single_threaded
 
 
@@ -100,13 +100,13 @@ class TaskEvaluation:
         network_or_coordinates, network = self.inputs.network_or_coordinates, self.inputs.network
         if isinstance(network_or_coordinates, EpochCoordinates):
             source, frame, sigma0 = (
-                SourceEntry.from_coordinates(network_or_coordinates),
+                ResultSource.from_coordinates(network_or_coordinates),
                 "that of the list of coordinates",
                 None,
             )
         else:
             source = (
-                SourceEntry.from_recording(network_or_coordinates.recording)
+                ResultSource.from_recording(network_or_coordinates.recording)
                 if network is None
                 else network.recording_entry
             )

@@ -202,7 +202,7 @@ def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: F
             REFERENCE_LENGTHS_SOURCE_NAME, "B", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
         )
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
-    shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_changes.items())
+    shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_shifts.items())
     sources += [UncertaintySource(name, "B", response[:, None]) for name, response in shared]
     return [*sources, *_nuisance_sources(adjustment, point_derivatives[at:])]
 

@@ -21,7 +21,7 @@ from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
-from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, grid_step, is_allowed_position
+from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, is_allowed_position, tripod_grid_spacing
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
@@ -332,7 +332,9 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
     obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
-    grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_step_mm), 1) for area in areas])
+    grid = np.concatenate(
+        [grid_over_area(area, tripod_grid_spacing(areas, plan_file.search.grid_step_mm), 1) for area in areas]
+    )
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise InputError(

@@ -21,7 +21,7 @@ from ltsim.planning.search_inputs import is_target_fixed_in_search, layout_objec
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.scene.floor import grid_step
+from ltsim.scene.floor import tripod_grid_spacing
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
@@ -82,7 +82,7 @@ class PlanningProblem:
         with each layout that is better than all before it.
         """
         settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
-        step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
+        step = tripod_grid_spacing(search_space.allowed_areas, settings.grid_step_mm)
         return LayoutSearcher(
             search_space,
             objective,

@@ -10,7 +10,7 @@ from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, Rank
 from ltsim.core.results import Column, Table, model_columns, text_columns
 from ltsim.physics.effects import effect_title
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, ResultSource, Vector
 
 
 class MeasurementProposalEntry(Entry):
@@ -118,7 +118,7 @@ class NextMeasurement(ResultFile):
     """Proposals of additional measurements, the best first; for each position of a new station only the best yaw."""
 
     @classmethod
-    def from_ranking(cls, ranking: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
+    def from_ranking(cls, ranking: RankedProposals, source: ResultSource | None = None, *, site: str = "") -> Self:
         """Result from a ranking of proposals.
 
         `source` is the recording for which the measurements are proposed, `site` the plan that limits new stations.

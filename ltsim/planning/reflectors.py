@@ -277,7 +277,7 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
     if search_space.is_aimed_nest.any():
         is_usable &= (
             nest_normals_of_smallest_incidence(survey.station_positions, places)[1]
-            <= search_space.sight_limits.max_incidence
+            <= search_space.sight_limits.max_incidence_angle
         )
     return is_usable
 

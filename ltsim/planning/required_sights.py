@@ -8,7 +8,7 @@ from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.station_placement import StationPlacement
-from ltsim.scene.floor import grid_step
+from ltsim.scene.floor import tripod_grid_spacing
 
 MAX_PROPOSED_ADDITIONAL_STATIONS = 3
 """Largest number of additional stations that an error message proposes for points with too few sights."""
@@ -54,7 +54,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     possible value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
-    step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
+    step = tripod_grid_spacing(search_space.allowed_areas, settings.grid_step_mm)
     reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.height_count)
     if reachable >= search_space.min_sights_per_target:
         return file
@@ -118,7 +118,7 @@ def candidate_placement_seeing_all_points(search_space: SearchSpace, file: PlanF
     Raises InputError with the names of points that no position sees.
     """
     placement = search_space.candidate_placement(
-        grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
+        tripod_grid_spacing(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
     )
     is_visible = placement.is_visible.any(axis=0) | (placement.n_fixed_sights > 0)
     if not is_visible.all():

@@ -24,7 +24,7 @@ from ltsim.scene.floor import (
     grid_over_area,
     height_range_text,
     is_allowed_position,
-    refusal_reason,
+    tripod_refusal_reason,
 )
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
@@ -175,7 +175,7 @@ class SearchSpace(ValueEquality):
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
+            if why := tripod_refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
         for s, t in np.argwhere(
             np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
@@ -246,7 +246,7 @@ class SearchSpace(ValueEquality):
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
-        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
+        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence_angle - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, target_indices: Ints) -> str:
         """Sentence on targets (by index) that no position on the floor sees, with the action to take."""

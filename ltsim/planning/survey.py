@@ -15,7 +15,7 @@ from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
+from ltsim.recordings.recording import OBSERVABLES, Recording, reading_sigmas_from_noise
 from ltsim.recordings.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
 
@@ -78,7 +78,7 @@ class PlannedSurvey:
         Effects of the air are not included.
         """
         nominal = [self.setup.instrument.noise]
-        return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
+        return reading_sigmas_from_noise(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
     @property
     def n_pointings(self) -> int:

@@ -25,7 +25,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
 from ltsim.recordings.exchange import RecordingSource, load_recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultSource
 from ltsim.simulation.scenario import Scenario
 
 MIN_ALTERNATIVE_DISTANCE = 2.0
@@ -143,7 +143,7 @@ def next_measurement(
         visibility_function=None if space is None else _visibility_function(space),
         progress=progress,
     )
-    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
+    return NextMeasurement.from_ranking(made, ResultSource.from_recording(measured), site=str(site or ""))
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:

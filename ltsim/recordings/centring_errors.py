@@ -1,4 +1,4 @@
-"""Centring errors of the targets, as tables of `setup.toml`."""
+"""Centring errors of targets: contents of the tables `[[centring]]` of `setup.toml`."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from typing import Literal
 from ltsim.recordings.keys import Positive, TomlSection
 
 OccupationGrouping = Literal["station", "instrument_setup", "target_setup", "day"]
-"""Rule that groups the pointings to a target into occupations, in which its reflector is not moved: all pointings from
-one station, all with the same entry in the column `instrument_setup` or `target_setup`, or all of one day."""
+"""Rule that assigns pointings to occupations of a target (times during which its reflector is not moved). One
+occupation has all pointings from one station, all with one entry in the column `instrument_setup` or `target_setup`, or
+all of one day."""
 
 
 class CentringUncertainty(TomlSection):
-    """Centring errors of targets: at each occupation the reflector is displaced from its target at random.
+    """Centring errors of targets: in each occupation the reflector is displaced from its target by a random vector.
 
-    All pointings of one occupation share the displacement, which is estimated with the network.
+    All pointings of one occupation share the vector, which the adjustment estimates.
     """
 
     sigma_mm: Positive
-    """Standard deviation of the displacement along each axis."""
+    """Standard deviation [mm] of the displacement along each axis."""
     occupation: OccupationGrouping = "station"
-    """Pointings to a target during which its reflector is not moved: all pointings from one `station`, all with the
-    same entry in the column `instrument_setup` or `target_setup`, or all of one `day`.
-    """
+    """Rule that assigns pointings to occupations, in which the reflector is not moved. One occupation has all pointings
+    from one `station`, all with one entry in the column `instrument_setup` or `target_setup`, or all of one `day`."""
     stations: tuple[str, ...] = ()
-    """Names of the stations whose pointings have these errors; empty for all stations."""
+    """Names of the stations from which these centring errors act; empty for all stations."""
     targets: tuple[str, ...] = ()
-    """Names of the targets that have these errors; empty for all targets."""
+    """Names of the targets that have these centring errors; empty for all targets."""
 
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
-        """Centring errors of the given stations and targets (names) only; None if these errors act on none of them."""
+        """Copy for the given stations and targets (names) only; None if the centring errors act on none of them."""
         names_by_key = {
             key: tuple(name for name in declared_names if name in names)
             for key, declared_names, names in self._declared_names(stations, targets)
@@ -40,10 +40,10 @@ class CentringUncertainty(TomlSection):
     def unknown_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, str, Sequence[str]]]:
-        """Declared names that the recording lacks, each with its key (`stations` or `targets`) and the permitted names.
+        """Names in the keys `stations` and `targets` of this table that do not occur in the recording.
 
-        The items are (key, name, permitted names). `stations` and `targets` are the names in the recording, which are
-        the permitted ones.
+        The arguments `stations` and `targets` are the names in the recording. Each item is the key, the unknown name,
+        and the names of the recording among which the user can choose.
         """
         for key, declared_names, names in self._declared_names(stations, targets):
             yield from ((key, name, names) for name in declared_names if name not in names)
@@ -51,9 +51,10 @@ class CentringUncertainty(TomlSection):
     def _declared_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, tuple[str, ...], Sequence[str]]]:
-        """Keys (`stations`, `targets`) with declared names, each with these names and the permitted names of this kind.
+        """Keys `stations` and `targets` if they are not empty, each with its names and with the names in the recording.
 
-        `stations` and `targets` are the names in the recording, which are the permitted ones.
+        The arguments `stations` and `targets` are the names in the recording. Each item is the key, the names in this
+        table, and the names in the recording.
         """
         yield from (
             (key, declared_names, names)

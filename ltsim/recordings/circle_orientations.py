@@ -1,7 +1,8 @@
-"""Orientations of the horizontal circle while an instrument occupies a point, from the readings alone.
+"""Orientations of an instrument's horizontal circle at one survey mark, detected from repeated pointings.
 
-A surveyor may set the circle anew before each round. In a file that does not number rounds, repeated pointings show it:
-from one row on, the directions to all targets differ from the earlier ones by the same angle, and distances are equal.
+A surveyor may rotate the circle before each round. In a file without numbers of rounds, repeated pointings show this:
+from a certain row on, the directions to all targets differ from the earlier ones by the same angle, and distances do
+not change.
 """
 
 import math
@@ -11,39 +12,44 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 
-MIN_CIRCLE_RESET_ROTATION = 0.02
-"""Rotation [rad] of all directions above which the circle counts as rotated. A disturbed tripod rotates by less."""
-MAX_DIRECTION_DIFFERENCE = 1e-3
-"""Difference [rad] of two directions, or two elevations, to one target below which they count as equal."""
-MAX_DISTANCE_DIFFERENCE_M = 0.02
-"""Difference [m] of two distances to one target above which the target counts as moved."""
-MIN_AGREEING_TARGETS = 3
-"""Number of repeated targets whose directions must change by the same rotation before the circle counts as rotated."""
-MAX_CONTRADICTORY_FRACTION = 0.1
-"""Largest fraction of the repeated pointings of an occupation that may contradict its orientations, as outliers.
+MIN_DETECTED_CIRCLE_ROTATION = 0.02
+"""Common rotation [rad] of all directions above which the user has rotated the horizontal circle; a disturbed tripod
+rotates by less."""
+MAX_REPEATED_DIRECTION_DIFFERENCE = 1e-3
+"""Difference [rad] below which two directions to one target count as equal; also used for two elevations."""
+MAX_REPEATED_DISTANCE_DIFFERENCE_M = 0.02
+"""Difference [m] of two distances to one target above which the target has moved between the two pointings."""
+MIN_TARGETS_SHOWING_CIRCLE_ROTATION = 3
+"""Number of repeatedly measured targets whose directions must change by the same angle to show that the circle was
+rotated."""
+MAX_CONTRADICTORY_POINTING_FRACTION = 0.1
+"""Largest fraction of repeated pointings that may contradict the detected orientations, as outliers.
 
-Above this fraction all pointings of the occupation keep a single orientation.
+If the fraction is larger, all pointings of the occupation are assigned to one orientation.
 """
-MAX_CONFIRMATION_ROWS = 100
-"""Number of rows after a rotation within which `MIN_AGREEING_TARGETS` targets must be measured again to confirm it."""
+MAX_ROWS_CONFIRMING_CIRCLE_ROTATION = 100
+"""Number of rows after a suspected rotation of the circle in which `MIN_TARGETS_SHOWING_CIRCLE_ROTATION` targets must
+confirm it."""
 
 
-def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
-    """Number (n,) of the orientation of the horizontal circle in each of n rows, counted within its occupation.
+def circle_orientation_numbers(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
+    """Number (n,) of the orientation of the horizontal circle in each of n rows, from 0 in each occupation.
 
-    The result is None if no circle was rotated within an occupation. `occupation` (n,) is the number of the occupation
-    in each row. `sight_number` (n,) is equal for all pointings from one occupation to one target on one face.
-    `readings` (n, 3) are distance, azimuth and elevation [m, rad, rad]. An occupation with too many contradictory rows
-    (`MAX_CONTRADICTORY_FRACTION`) counts as one orientation.
+    The arguments are the number of the occupation in each row (n,), the number of the sight (n,), and the readings (n,
+    3): distance, azimuth and elevation [m, rad, rad]. Rows have equal sight numbers if they have the same occupation,
+    target and face. The result is None if no circle was rotated during an occupation. An occupation in which too many
+    rows contradict each other (`MAX_CONTRADICTORY_POINTING_FRACTION`) has one orientation.
     """
     _, first_row_of_sight, code = np.unique(sight_number, return_index=True, return_inverse=True)
     change = readings - readings[first_row_of_sight[code]]
     rotations_from_first = wrap_angle(change[:, 1])
-    is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
+    is_moved = (np.abs(change[:, 0]) > MAX_REPEATED_DISTANCE_DIFFERENCE_M) | (
+        np.abs(change[:, 2]) > MAX_REPEATED_DIRECTION_DIFFERENCE
+    )
     rotations_from_first[is_moved | (first_row_of_sight[code] == np.arange(len(sight_number)))] = (
         np.nan
     )  # new targets, and those that moved
-    turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_CIRCLE_RESET_ROTATION])
+    turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_DETECTED_CIRCLE_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
     for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
@@ -53,19 +59,19 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
 
 
 def circle_rotation_note(n_orientations: int, n_occupations: int) -> str:
-    """Note to the user that the circle was rotated: `n_orientations` orientations at `n_occupations` occupations."""
+    """Note for the user that horizontal circles were rotated, with the numbers of orientations and of occupations."""
     return (
-        f"the horizontal circle was rotated between repeated pointings: {n_orientations} orientations at "
-        f"{n_occupations} occupations are separate set-ups at the same positions"
+        f"the horizontal circle was rotated between repeated pointings: the {n_orientations} orientations at "
+        f"{n_occupations} occupations are treated as separate set-ups with the same positions"
     )
 
 
 def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_from_first: list[float]) -> list[int]:
-    """Number of the orientation of the circle in each row of one occupation.
+    """Number of the circle's orientation in each row of one occupation, from 0.
 
-    All numbers are 0 if too many rows contradict the orientations. `first_row_of_same_target` holds, for each row, the
-    row of the first pointing to the same target. `rotations_from_first` is the direction in a row minus the direction
-    in that first row [rad], NaN for a first pointing.
+    `first_row_of_same_target` is, for each row, the row of the first pointing to its target. `rotations_from_first` is
+    the direction in each row minus the direction in that first row [rad], NaN in the first row itself. If too many rows
+    contradict the detected orientations, all results are 0.
     """
     rotations, orientations = [0.0], list[int]()
     n_repeated = n_contradictory = 0
@@ -76,17 +82,19 @@ def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_f
             if not _is_equal_direction(circle_rotation, rotations[-1]):
                 if abs(
                     _wrap_scalar_angle(circle_rotation - rotations[-1])
-                ) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
+                ) > MIN_DETECTED_CIRCLE_ROTATION and _is_circle_rotation_confirmed(
                     row, first_row_of_same_target, rotations_from_first, circle_rotation, rotations, orientations
                 ):
                     rotations.append(circle_rotation)
                 else:
                     n_contradictory += 1
         orientations.append(len(rotations) - 1)
-    return orientations if n_contradictory <= MAX_CONTRADICTORY_FRACTION * n_repeated else [0] * len(orientations)
+    return (
+        orientations if n_contradictory <= MAX_CONTRADICTORY_POINTING_FRACTION * n_repeated else [0] * len(orientations)
+    )
 
 
-def _is_confirmed(
+def _is_circle_rotation_confirmed(
     row: int,
     first_row_of_same_target: list[int],
     rotations_from_first: list[float],
@@ -94,28 +102,29 @@ def _is_confirmed(
     rotations: list[float],
     orientations: list[int],
 ) -> bool:
-    """True if the next repeated targets confirm that the circle was rotated by `circle_rotation` [rad] at `row`.
+    """True if targets measured after `row` confirm that the circle was rotated by `circle_rotation` [rad] at this row.
 
-    `rotations` holds the rotation [rad] of each earlier orientation, `orientations` the number of the orientation of
-    each earlier row.
+    `first_row_of_same_target` and `rotations_from_first` are those of `_orientations_of_occupation`. `rotations` is the
+    rotation [rad] of each earlier orientation, `orientations` the number of the orientation in each earlier row.
     """
     agreeing = {first_row_of_same_target[row]}
-    for later in range(row + 1, min(row + MAX_CONFIRMATION_ROWS, len(first_row_of_same_target))):
+    for later in range(row + 1, min(row + MAX_ROWS_CONFIRMING_CIRCLE_ROTATION, len(first_row_of_same_target))):
         first = first_row_of_same_target[later]
         if first >= row or first in agreeing or math.isnan(rotations_from_first[later]):
             continue
         if not _is_equal_direction(rotations_from_first[later] + rotations[orientations[first]], circle_rotation):
             return False
         agreeing.add(first)
-        if len(agreeing) == MIN_AGREEING_TARGETS:
+        if len(agreeing) == MIN_TARGETS_SHOWING_CIRCLE_ROTATION:
             return True
     return False
 
 
 def _is_equal_direction(angle: float, other_angle: float) -> bool:
-    return abs(_wrap_scalar_angle(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
+    """True if two directions [rad] differ by less than `MAX_REPEATED_DIRECTION_DIFFERENCE`, apart from full circles."""
+    return abs(_wrap_scalar_angle(angle - other_angle)) < MAX_REPEATED_DIRECTION_DIFFERENCE
 
 
 def _wrap_scalar_angle(angle: float) -> float:
-    """Angle [rad] plus the multiple of a full circle with which it lies between -pi and pi."""
+    """Angle [rad] between -pi and pi that is equal to `angle` except for full circles."""
     return math.remainder(angle, math.tau)

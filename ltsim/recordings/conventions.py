@@ -1,10 +1,10 @@
 """Conventions of a file of polar readings: unit of angles, zenith angle or elevation, sense of azimuth, unit of length.
 
-The data decide and a note reports the decision, or an error asks for a hint; nothing is assumed silently. Readings on
-two faces determine unit and kind of the vertical angle, because they add up to a full or a half circle. With one face,
-the lengths between targets common to two stations decide: they agree only in the right unit. The sense of the azimuth
-needs coordinates or poses from another source, because the mirror image of a network has the same lengths and the same
-sums of both faces.
+The data decide, and a note reports the decision; if the data are ambiguous, an error asks the user for a hint. Readings
+in both faces determine the unit and the kind of the vertical angle by their sum, a full circle for zenith angles and
+half a circle for elevations. With one face, lengths between targets common to two stations decide: they agree only in
+the correct unit. The sense of the azimuth (clockwise or not) needs known coordinates or poses, because the mirror image
+of a network has the same lengths and sums.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ from ltsim.recordings.transcription_errors import (
     length_disagreement,
     most_shared_target_pairs,
     position_disagreement,
-    station_clouds,
+    target_points_by_station,
 )
 
 AngleUnit = Literal["deg", "gon", "rad"]
@@ -40,32 +40,34 @@ StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 AngleConvention = tuple[AngleUnit, VerticalKind]
 FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
-HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
-"""Possible units of the angles in a file; the data or a hint decide among them."""
-VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
-MIN_SECOND_TO_BEST_RATIO = 10.0
-"""Ratio of the misfit of the second-best convention to that of the best one from which on the data decide."""
-MAX_MIRROR_MISFIT_TO_NETWORK_SIZE = 1e-3
-"""Median distance of mirrored points from reference points, divided by the network's size, below which they fit."""
+POSSIBLE_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+"""Units that the angles of a file may have; the data or the user's hint decide which."""
+VERTICAL_ANGLE_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
+MIN_DECISIVE_CONVENTION_RATIO = 10.0
+"""Smallest ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
+(second-best to best), or of the numbers of agreeing targets (best to second-best)."""
+MAX_RELATIVE_MIRROR_MISFIT = 1e-3
+"""Median distance of mirrored points from reference points, divided by the network's size, below which they agree."""
 MAX_ROWS_IN_NOTE = 3
-"""Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
-MIN_TARGET_INTERVAL_S = 0.1
-"""Shortest plausible median time [s] between consecutive targets; a shorter one raises a question about the clock."""
-MAX_TARGET_INTERVAL_S = 7200.0
-"""Longest plausible median time [s] between consecutive targets; a longer one raises a question about the clock."""
-MIN_TARGET_CHANGES = 8
-"""Number of changes from one target to the next below which the time between targets is not judged."""
+"""Largest number of rows that a note lists, and of reported warnings about mirror images."""
+MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1
+"""Median time [s] from one target to the next below which the user is asked to check the unit of the time column."""
+MAX_PLAUSIBLE_TARGET_INTERVAL_S = 7200.0
+"""Median time [s] from one target to the next above which the user is asked to check the unit of the time column."""
+MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
+"""Number of changes from one target to another that a recording needs for the check of its time unit."""
 
 
 @dataclass(frozen=True)
 class Hints:
-    """Decisions of the user on an ambiguous file; None leaves a decision to the data.
+    """Answers of the user to what a file leaves open (units, senses, names); None lets the data decide.
 
     `angle` and `length` are units, `vertical` the kind of vertical angle, `azimuth` its sense. `points` is a file of
     coordinates (name, x, y, z) in a right-handed frame, which decides the sense of the azimuth. `station` names the
-    set-up of a file that contains no name. `columns` assigns the columns of a table (``target=Name,azimuth=Hz[gon]``).
-    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. A file that is
-    still growing (`incomplete_tail`) may end inside a row and may lack targets of reference lengths.
+    set-up if the file contains no name. `columns` assigns the columns of a table (``target=Name,azimuth=Hz[gon]``).
+    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. `is_growing`
+    permits a file that an instrument is still writing: its last row may be incomplete, and targets of reference lengths
+    may not be measured yet.
     """
 
     angle: AngleUnit | None = None
@@ -77,7 +79,7 @@ class Hints:
     columns: str | None = None
     setup: Path | None = None
     date: Literal["dmy", "mdy"] | None = None
-    incomplete_tail: bool = False
+    is_growing: bool = False
 
 
 NO_HINTS = Hints()
@@ -85,7 +87,7 @@ NO_HINTS = Hints()
 
 @dataclass(frozen=True)
 class PolarReadings:
-    """Polar readings (n,) of n pointings in the units of a file: indices of station and target, angles, distance."""
+    """Polar readings (n,) of n pointings as written in a file: indices of station and target, angles, distance."""
 
     station: Ints
     target: Ints
@@ -94,10 +96,10 @@ class PolarReadings:
     distance: Floats
 
     def points(self, angle: AngleUnit, vertical_kind: VerticalKind) -> Floats:
-        """Coordinates (n, 3) of the n measured points in each station's frame, with counter-clockwise azimuths.
+        """Coordinates (n, 3) of n points in the frames of their stations, in the unit of the distances.
 
-        `angle` is the unit of the angles, `vertical_kind` the kind of the vertical angles; the coordinates have the
-        unit of the distances.
+        `angle` is the unit of the angles, `vertical_kind` the kind of the vertical ones; azimuths are taken as
+        counter-clockwise.
         """
         vertical_angle = self.vertical_angles * SI_PER_UNIT[angle]
         elevation = np.pi / 2 - vertical_angle if vertical_kind == "zenith" else vertical_angle
@@ -105,12 +107,12 @@ class PolarReadings:
 
 
 def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
-    """Unit of the angles, kind of the vertical angles, and notes on decisions from the data; `file` is named in errors.
+    """Unit of the angles, kind of the vertical angles, and notes about how the data decided; `file` is named in errors.
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
-    angles = HINTED_ANGLE_UNITS if hints.angle is None else (hints.angle,)
-    verticals = VERTICAL_KINDS if hints.vertical is None else (hints.vertical,)
+    angles = POSSIBLE_ANGLE_UNITS if hints.angle is None else (hints.angle,)
+    verticals = VERTICAL_ANGLE_KINDS if hints.vertical is None else (hints.vertical,)
     candidates = [
         (a, v)
         for a in angles
@@ -128,19 +130,18 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
         )
     notes = []
     if hints.angle is None or hints.vertical is None:
-        notes.append(
-            f"angles are interpreted as {convention[0]}, the vertical ones as {convention[1]} angles ({reason})"
-        )
+        notes.append(f"angles are interpreted as {convention[0]}, vertical angles as {convention[1]} angles ({reason})")
     return (*convention, notes)
 
 
 def _is_possible_convention(
     polar: PolarReadings, angle: AngleUnit, vertical: VerticalKind, *, is_declared: bool
 ) -> bool:
-    """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
+    """True if the angles are possible readings in this unit (`angle`) and of this kind of vertical angle (`vertical`).
 
-    An elevation beyond the zenith occurs on face 2 only. A file with such values, but without a target on two faces,
-    therefore holds zenith angles, unless the user declared the kind of vertical angle (`is_declared`).
+    All angles must be within a full circle, and vertical angles within the range of an instrument. An elevation beyond
+    the zenith is possible in face 2 only. Without targets in both faces, a file with such values therefore contains
+    zenith angles, unless the user declared the kind (`is_declared`).
     """
     circle = FULL_CIRCLE_BY_UNIT[angle]
     horizontal, readings = polar.horizontal_angles, polar.vertical_angles
@@ -153,8 +154,8 @@ def _is_possible_convention(
     return bool(np.nanmin(readings, initial=0) >= 0)
 
 
-def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
-    """Rows of k pairs of successive pointings from a station to one target: earlier ones (k,), later ones (k,)."""
+def _repeated_pointing_row_pairs(polar: PolarReadings) -> tuple[Ints, Ints]:
+    """Row indices of k pairs of successive pointings from one station to one target: earlier (k,), later (k,)."""
     order = np.lexsort((np.arange(len(polar.station)), polar.target, polar.station))
     first, next_ = order[:-1], order[1:]
     is_repeated = (polar.station[first] == polar.station[next_]) & (polar.target[first] == polar.target[next_])
@@ -162,8 +163,8 @@ def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
 
 
 def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind: VerticalKind) -> int:
-    """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
-    first, other = _same_target_rows(polar)
+    """Number of pairs of rows whose azimuths and vertical angles agree with one target measured in both faces."""
+    first, other = _repeated_pointing_row_pairs(polar)
     circle = FULL_CIRCLE_BY_UNIT[angle]
     sum_of_faces = circle if vertical_kind == "zenith" else circle / 2
     azimuth_misfit = np.abs(
@@ -177,13 +178,13 @@ def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind:
 def _convention_from_faces(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Candidate (unit, kind of vertical angle) with which most repeated targets are on two faces; this reason as text.
+    """Convention among `candidates` with which most targets are measured in both faces, and this reason as text.
 
-    None without `MIN_SECOND_TO_BEST_RATIO` times as many such targets as with any other candidate.
+    None unless `MIN_DECISIVE_CONVENTION_RATIO` times as many such targets agree as with any other candidate.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
-    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_SECOND_TO_BEST_RATIO > counts[best_index]:
+    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_DECISIVE_CONVENTION_RATIO > counts[best_index]:
         return None
     return candidates[best_index], f"the readings of {counts[best_index]} targets on both faces then agree"
 
@@ -191,15 +192,15 @@ def _convention_from_faces(
 def _convention_from_lengths(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Candidate (unit, kind of vertical angle) with which stations measure equal lengths; this reason as text.
+    """Convention among `candidates` with which stations measure equal lengths between targets, and this reason as text.
 
-    None if no candidate, or more than one, makes the lengths between targets equal.
+    None if no candidate, or more than one, gives equal lengths.
     """
     misfits = [length_disagreement(polar.points(unit, kind), polar.station, polar.target) for unit, kind in candidates]
     if not np.all(np.isfinite(misfits)):
         return None
     first, second = np.argsort(misfits)[:2]
-    if misfits[first] > 1e-2 or misfits[first] * MIN_SECOND_TO_BEST_RATIO > misfits[second]:
+    if misfits[first] > 1e-2 or misfits[first] * MIN_DECISIVE_CONVENTION_RATIO > misfits[second]:
         return None
     accuracy = 1 / max(misfits[first], 1e-9)
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
@@ -208,7 +209,7 @@ def _convention_from_lengths(
 def _raise_missing_hint(
     polar: PolarReadings, candidates: list[AngleConvention], file: object
 ) -> tuple[AngleConvention, str]:
-    """RecordError that asks which candidate is right, with the option to type; the function never returns."""
+    """RecordError that lists the `candidates` and the options to type; the function always raises it."""
     has_common_unit = len({a for a, _ in candidates}) == 1
     has_vertical_angles = bool(np.isfinite(polar.vertical_angles).any())
     kinds = [f"{kind} angles" if has_vertical_angles else "horizontal angles" for _, kind in candidates]
@@ -217,12 +218,12 @@ def _raise_missing_hint(
     )
     hints = [] if has_common_unit else [f"--hint angle={candidates[0][0]}"]
     hints += [f"--hint vertical={candidates[0][1]}"] if len({v for _, v in candidates}) > 1 else []
-    message = f"the angles may be {choices}, and the data do not decide which; give {' '.join(hints)}"
+    message = f"the angles may be {choices}; the data do not decide which, therefore give {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
-def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
-    """Unit of n distances (n,), and notes on it: m if the longest is below `MIN_LONGEST_DISTANCE_MM`, otherwise mm."""
+def distance_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
+    """Unit of n distances (n,), from the hint or else from their size (`MIN_LONGEST_DISTANCE_MM`), and notes."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
@@ -231,7 +232,7 @@ def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, l
 
 
 AZIMUTH_SENSE_UNKNOWN_NOTE = (
-    "this file does not show whether azimuths run clockwise, because its mirror image fits as well; give "
+    "the sense of the azimuths is unknown, because the mirror image of the readings fits equally well; give "
     "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or the coordinates of some targets with "
     "--hint points=FILE"
 )
@@ -240,11 +241,10 @@ AZIMUTH_SENSE_UNKNOWN_NOTE = (
 def azimuth_sense_from_points(
     local_points: Floats, polar: PolarReadings, targets: Sequence[str], file: Path
 ) -> tuple[AzimuthSense, list[str]]:
-    """Sense of the azimuth from coordinates of targets in `file`, and notes on it.
+    """Sense of the azimuth from known coordinates of targets in `file`, and notes about it; or else RecordError.
 
-    `local_points` (n, 3) [m] are n measured positions in each station's frame, with counter-clockwise azimuths.
-    `targets` are the names to which the indices `polar.target` refer. Raises RecordError if the coordinates do not
-    decide.
+    `local_points` (n, 3) [m] are n measured positions in the frames of their stations, computed with counter-clockwise
+    azimuths. `targets` are the names to which the indices `polar.target` refer.
     """
     point_list = read_points(file, refuses_contradictions=False)
     index_of = {name: i for i, name in enumerate(targets)}
@@ -262,10 +262,11 @@ def azimuth_sense_from_points(
 def _azimuth_sense_by_alignment(
     local_points: Floats, polar: PolarReadings, points_by_target: Mapping[int, Floats]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth with which the targets of each station fit `points_by_target` [m] after a rigid alignment.
+    """Sense of the azimuth with which the targets of each station fit known points after a rigid alignment.
 
-    `local_points` (n, 3) [m] are positions measured in n pointings, computed with counter-clockwise azimuths. None if
-    neither sense fits ten times better than the other, for example if all points lie in one plane.
+    `points_by_target` are the known points (3,) [m] by index of the target. `local_points` (n, 3) [m] are the positions
+    measured in n pointings, computed with counter-clockwise azimuths. None if neither sense fits ten times better than
+    the other, for example if all points lie in one plane.
     """
     station_senses = []
     is_usable = np.isin(polar.target, list(points_by_target)) & np.all(np.isfinite(local_points), axis=1)
@@ -276,15 +277,15 @@ def _azimuth_sense_by_alignment(
             continue
         fixed_points = np.array([points_by_target[int(t)] for t in polar.target[rows]])
         misfit = _rigid_misfits(local_points[rows], fixed_points)
-        if max(misfit) > MIN_SECOND_TO_BEST_RATIO * min(misfit):
+        if max(misfit) > MIN_DECISIVE_CONVENTION_RATIO * min(misfit):
             station_senses.append(int(np.argmin(misfit)))
-    return _unanimous_sense(station_senses)
+    return _unanimous_azimuth_sense(station_senses)
 
 
 def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
-    """Median distances [m] from n `fixed_points` (n, 3): of `points` (n, 3), and of their mirror image.
+    """Median distances [m] of `points` (n, 3), and of their mirror image, from `fixed_points` (n, 3) after alignment.
 
-    Both are first aligned rigidly with `fixed_points`. A median distance is 1 m if the alignment is not possible.
+    The alignment is rigid (rotation and translation). The median distance is set to 1 m if no alignment is possible.
     """
     misfits = []
     for y_sign in (1.0, -1.0):
@@ -300,10 +301,10 @@ def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
 def azimuth_sense_from_poses(
     local_points: Floats, polar: PolarReadings, poses: Mapping[int, StationPoseArrays]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth with which stations of known pose (by station index) measure equal positions of targets.
+    """Sense of the azimuth with which stations of known pose measure equal positions of common targets.
 
-    `local_points` (n, 3) [m] are positions measured in n pointings, in the frame of their station, computed with
-    counter-clockwise azimuths. None if the data do not decide.
+    `poses` are the rough poses by station index. `local_points` (n, 3) [m] are the positions measured in n pointings,
+    in the frames of their stations, computed with counter-clockwise azimuths. None if the data do not decide.
     """
     misfits = []
     rows = np.flatnonzero(np.isin(polar.station, list(poses)))
@@ -315,27 +316,27 @@ def azimuth_sense_from_poses(
         images = local_points[rows] * [1.0, y_sign, 1.0]
         points[rows] = np.einsum("nij,nj->ni", rotations[index], images) + positions[index]
         misfits.append(position_disagreement(points, polar.station, polar.target))
-    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_SECOND_TO_BEST_RATIO * min(misfits):
+    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_DECISIVE_CONVENTION_RATIO * min(misfits):
         return None
-    return _unanimous_sense([int(np.argmin(misfits))])
+    return _unanimous_azimuth_sense([int(np.argmin(misfits))])
 
 
-def _unanimous_sense(station_senses: list[int]) -> AzimuthSense | None:
-    """Sense of the azimuth in which all stations agree (0 counter-clockwise, 1 clockwise); None if they do not."""
+def _unanimous_azimuth_sense(station_senses: list[int]) -> AzimuthSense | None:
+    """Sense of the azimuth if all stations have the same one (0 counter-clockwise, 1 clockwise); otherwise None."""
     if not station_senses or min(station_senses) != max(station_senses):
         return None
     return "clockwise" if station_senses[0] else "counter-clockwise"
 
 
-def clock_questions(recording: Recording) -> tuple[str, ...]:
-    """Question about the unit of time, if the median time between targets is implausible; otherwise empty."""
+def time_unit_questions(recording: Recording) -> tuple[str, ...]:
+    """Question about the unit of the time column if the time between targets is implausible; otherwise empty."""
     is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     paces = np.abs(np.diff(recording.time))[is_change]
     paces = paces[np.isfinite(paces)]
-    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES:
+    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES_FOR_TIME_CHECK:
         return ()
     pace = float(np.median(paces))
-    if MIN_TARGET_INTERVAL_S <= pace <= MAX_TARGET_INTERVAL_S:
+    if MIN_PLAUSIBLE_TARGET_INTERVAL_S <= pace <= MAX_PLAUSIBLE_TARGET_INTERVAL_S:
         return ()
     span_s = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -344,29 +345,29 @@ def clock_questions(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
-    """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
+def vertical_sight_notes(recording: Recording) -> tuple[str, ...]:
+    """Note on pointings straight up or down, of which an adjustment uses the distance only; empty without them."""
     vertical_rows = np.flatnonzero(recording.is_along_standing_axis & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
         return ()
     listed_rows = names_text([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_NOTE)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
-        "to locate this target from there, tilt or move the tracker",
+        "to measure angles to this target, tilt or move the tracker",
     )
 
 
-def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
-    """Sentences on stations whose readings fit the declared positions, or another station, only as a mirror image.
+def mirror_image_warnings(recording: Recording) -> tuple[str, ...]:
+    """Warnings that readings fit the declared station positions, or another station, only as a mirror image.
 
-    Coordinates in one plane, or a floor plan that fits neither sense, give no sentence. A recording with more set-ups
-    than a network may have is not examined.
+    No warning is given for points in one plane, for a floor plan that fits neither sense, and for more than the
+    permitted number of set-ups.
     """
     if len(recording.stations) > overridable_limit(MAX_NETWORK_SETUPS):
         return ()
     local_points = from_polar(recording.readings)
     polar = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
-    poses = rough_poses(recording.setup, recording.stations)
+    poses = floor_plan_poses(recording.setup, recording.stations)
     notes = []
     if len(poses) > 1 and azimuth_sense_from_poses(local_points, polar, poses) == "clockwise":
         notes.append(
@@ -382,21 +383,21 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
 
 
 def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:
-    """Mirror-image pairs of stations: each station and the earlier one with which it shares most targets (indices)."""
+    """Indices (earlier, later) of pairs of stations whose common targets fit each other only as mirror images."""
     measured = np.isfinite(local_points).all(axis=1)
-    clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
+    clouds, pairs = target_points_by_station(local_points, recording.station, recording.target), []
     stations, targets = recording.station[measured], recording.target[measured]
     for other, s in most_shared_target_pairs(stations, targets, len(recording.stations)):
         here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
         extent = float(np.ptp(there, axis=0).max())
-        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_MIRROR_MISFIT_TO_NETWORK_SIZE * extent:
+        if misfit > MIN_DECISIVE_CONVENTION_RATIO * mirror and mirror < MAX_RELATIVE_MIRROR_MISFIT * extent:
             pairs.append((other, s))
     return pairs
 
 
-def rough_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
-    """Rough pose of stations by index in `names`, if the floor plan has both position and direction of azimuth zero."""
+def floor_plan_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
+    """Rough pose by index in `names` of each station with position and direction of azimuth zero in the floor plan."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)

@@ -1,13 +1,13 @@
-"""Readers of lists of coordinates (names with x, y, z), which every command uses for such files.
+"""Readers of lists of points (names with coordinates x, y, z), used by all commands.
 
-`read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
-``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations are in
-``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line has a name and three
-numbers, after which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance
+`read_points` reads delimited text or a workbook. A header names the columns, with or without units:
+``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``. Standard deviations are in
+columns such as ``sigma_x_mm`` or ``sX``, or in one column ``sigma`` for all axes. A line without header has a name and
+three numbers. Three or four standard deviations (x, y, z, length of this vector) and the nine numbers of a covariance
 may follow, as SpatialAnalyzer writes them.
 
-`read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
-(the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or results of gama-local (XML).
+`read_coordinates` reads coordinates with the covariance matrix of all points: a list with ``NAME.covariance.csv`` in
+its folder (matrix [mm^2] with ``TARGET.x`` in header and first column), or an XML result of gama-local.
 """
 
 import csv
@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, read_head, safe_excerpt
+from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     COORDINATE_ROLES,
@@ -35,27 +35,27 @@ from ltsim.recordings.tables.header import (
     header_columns,
     title_words_and_unit,
 )
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet, head_rows, read_sheets
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet, read_sheets, rows_of_file_beginning
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
 MAX_COVARIANCE_ASYMMETRY = 1e-6
-"""Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
+"""Largest permitted difference of the entries ij and ji of a covariance matrix, divided by the largest variance."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
-"""Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
-MAX_COORDINATE_IN_METRES = 500.0
-"""Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
+"""Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
+MAX_COORDINATE_READ_AS_METRES = 500.0
+"""Number below which the largest coordinate of a list without unit is read in metres; otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
-"""Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
+"""Number from which the largest coordinate of a list without unit shows a national grid, whose unit is the metre."""
 NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
+"""Column titles, in lower case, of coordinates in a national grid, which without a unit are read in metres."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
-"""Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
+"""Possible numbers of fields in a line without header: name, x, y, z, then 3 or 4 sigmas, then a covariance."""
 POINT_NAME_ROLES = ("target", "station", "", "time", "date")
-"""Possible roles of the column that names the points; the first role that a header contains is used."""
-POINT_LIST_CONTENT_TEXT = (
+"""Contents of columns that may name the points of a list; the first that a header contains is used."""
+EXPECTED_POINT_LIST_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
 )
@@ -63,62 +63,62 @@ POINT_LIST_CONTENT_TEXT = (
 
 @dataclass(frozen=True)
 class PointList:
-    """List of n named points, in the order of its file."""
+    """Points of a file (n names with coordinates), in the order of the file."""
 
     names: tuple[str, ...]
     points: Floats
-    """Coordinates (n, 3) [m] of the n points; NaN for a coordinate that the list does not give."""
+    """Coordinates (n, 3) [m] of the n points; NaN for a missing coordinate."""
     covariance: Floats
-    """Covariance matrix [m^2] of the coordinates of each of the n points, (n, 3, 3); NaN if not given."""
+    """Covariance matrix (n, 3, 3) [m^2] of the coordinates of each of the n points; NaN if not given."""
     notes: tuple[str, ...] = ()
     additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Texts of each additional column by its header, one text for each point."""
+    """Texts of the other columns by header, one text for each point."""
     line_numbers: tuple[int, ...] = ()
-    """Line number of each point in the file."""
+    """Line number in the file of each point."""
     n_contradictory_rows: int = 0
-    """Number of rows that repeat a name with other coordinates and are ignored."""
-    max_contradiction_m: float = 0.0
-    """Largest distance [m] between an ignored row and the first row with the same name."""
+    """Number of ignored rows, which repeat the name of an earlier row with different coordinates."""
+    max_repeated_point_distance_m: float = 0.0
+    """Largest distance [m] between an ignored row and the first row with its name."""
 
     @property
-    def sigma(self) -> Floats:
+    def coordinate_sigmas(self) -> Floats:
         """Standard deviations (n, 3) [m] of the coordinates of the n points; NaN if not given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
     def coordinates_by_name(self) -> dict[str, Floats]:
-        """Coordinates x, y, z (3,) [m] by name of the point; points with a missing coordinate are left out."""
+        """Coordinates x, y, z (3,) [m] by name of the point, without points that lack a coordinate."""
         is_complete = np.asarray(np.isfinite(self.points).all(axis=1))
         return {self.names[i]: self.points[i] for i in np.flatnonzero(is_complete).tolist()}
 
 
 def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> PointList:
-    """List of points from a file.
+    """Points in a file with their coordinates.
 
-    Without a unit in the header the unit is the metre or the millimetre, by size, and a note reports which.
+    If the header gives no unit, the size of the numbers decides (metres or millimetres), and a note reports it.
 
     Parameters
     ----------
     path : str or Path
     refuses_contradictions : bool
-        True to refuse a point that is listed again with other coordinates; False to use its first ones, with a note.
+        True to refuse a name that occurs again with different coordinates; False to use its first row, with a note.
 
     Raises
     ------
     RecordError
-        One sentence: file, row, the content there and the expected content.
+        File, row, content of the cell, and expected content.
     """
     path = Path(path)
     for sheet in read_sheets(path):
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
             return _PointRowReader(sheet, *header).points(refuses_contradictions=refuses_contradictions)
-    raise RecordError(f"is not a list of coordinates, {POINT_LIST_CONTENT_TEXT}", file=path)
+    raise RecordError(f"is not a list of coordinates, {EXPECTED_POINT_LIST_TEXT}", file=path)
 
 
-def recognises(file_beginning: str) -> bool:
-    """True if a file that begins with the text `file_beginning` is a list of points, with or without a header."""
-    first_rows = head_rows(file_beginning)
+def is_point_list(file_beginning: str) -> bool:
+    """True if a file that begins with the text `file_beginning` is a list of points, with or without header."""
+    first_rows = rows_of_file_beginning(file_beginning)
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
@@ -128,18 +128,18 @@ def recognises(file_beginning: str) -> bool:
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
-    """Fields of a row without the empty one after a separator at the end of the line."""
+    """Fields of a row without an empty last field, which a separator at the end of the line creates."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point (0), and columns of a list without header; None for other content."""
+    """Columns of a list of points without header, preceded by 0, the number of header rows; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
     if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
     width = len(_drop_trailing_field(first_row))
     if width not in HEADERLESS_FIELD_COUNTS:
-        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {POINT_LIST_CONTENT_TEXT}")
+        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {EXPECTED_POINT_LIST_TEXT}")
     names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
@@ -147,7 +147,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point, and columns that the header names; None if there is no such header."""
+    """Number of rows before the first point, and columns with the roles from the header; None without such a header."""
     for place, row in enumerate(sheet_rows):
         if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue
@@ -165,7 +165,7 @@ def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColu
 
 
 class _PointRowReader:
-    """Reader of the points in a sheet from row index `first_row` on; `columns` give the role of each column."""
+    """Reader of the points in a sheet from row index `first_row` on; `columns` are the columns with their roles."""
 
     def __init__(self, sheet: TableSheet, first_row: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[first_row:], columns
@@ -175,7 +175,7 @@ class _PointRowReader:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, refuses_contradictions: bool) -> PointList:
-        """List of the points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
+        """Points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
         self.sheet.require_complete_end(self.width)
         places, row_indices, numbers = dict[str, int](), list[int](), array("d")
         n, notes, ignored = len(self.numbers), list[str](), list[tuple[Sequence[float], list[float]]]()
@@ -187,13 +187,13 @@ class _PointRowReader:
                 row_indices.append(index)
                 numbers.extend(values)
             elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
-                what = f"the point {safe_excerpt(name)} was listed before with other coordinates"
+                what = f"the point {safe_excerpt(name)} occurs again with different coordinates"
                 if refuses_contradictions:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
                 ignored.append((before, values))
         if not places:
-            raise RecordError("holds no points", file=self.sheet.file)
+            raise RecordError("contains no points", file=self.sheet.file)
         table = np.array(numbers).reshape(len(places), -1)
         scale, decisions = self._unit_factors(table)
         numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
@@ -208,7 +208,7 @@ class _PointRowReader:
         return PointList(tuple(places), points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
 
     def _name_and_numbers(self, row: SheetRow) -> tuple[str, list[float]]:
-        """Name of the point in one row, and its numbers; NaN for an empty cell."""
+        """Name of the point in one row, and the numbers in the columns of coordinates; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
@@ -221,24 +221,24 @@ class _PointRowReader:
                     f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)
                 )
             coordinates.append(np.nan if number is None else float(number))
-        return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
+        return where.checked_name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factors (k,) from the k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
+        """Factors (k,) that convert k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
         is_grid = largest >= MIN_NATIONAL_GRID_COORDINATE or any(
             title_words_and_unit(c.title)[0] in NATIONAL_GRID_TITLES for c in axes
         )
-        unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
+        unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_READ_AS_METRES else "mm")
         notes = [] if declared_unit else [f"coordinates are interpreted as {unit} (the largest is {largest:.6g})"]
         scales = [SI_PER_UNIT[c.unit if c.unit in SI_PER_UNIT and c.unit else unit] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariance (n, 3, 3) [m^2] of n points, from columns (n,), by role, of full matrices or standard deviations."""
+    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) by role: full matrices or standard deviations."""
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -254,17 +254,17 @@ def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -
 
 @dataclass(frozen=True)
 class EpochCoordinates:
-    """Coordinates of T points of one epoch along the d axes that were measured, with their joint covariance matrix."""
+    """Coordinates of T points at one epoch, along the d axes that were measured, with one covariance matrix of all."""
 
     title: str
     names: tuple[str, ...]
     """Names of the T points."""
     axes: str
-    """Measured axes, a selection of `xyz`."""
+    """Measured axes, as letters among `xyz`, such as `xy`."""
     points: Floats
     """Coordinates (T, 3) [m] of the T points; 0 along axes that were not measured."""
     covariance: Floats
-    """Joint covariance (T d, T d) [m^2] of T points along d axes; rows are ordered by point, then by axis."""
+    """Joint covariance matrix (T d, T d) [m^2] of T points along d axes; rows are sorted by point, then by axis."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -273,26 +273,26 @@ class EpochCoordinates:
         return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 
-def _targets_path(path: Path) -> Path:
-    """Path of the list of targets if `path` is a folder of results; otherwise `path` itself."""
+def _target_list_path(path: Path) -> Path:
+    """Path of the file `targets.csv` if `path` is a folder of results; otherwise `path` unchanged."""
     return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:
-    """True for a list of coordinates, a result of gama-local, or a folder of results with coordinates of targets."""
-    path = _targets_path(path)
+    """True for a list of points, an XML result of gama-local, or a folder of results with `targets.csv`."""
+    path = _target_list_path(path)
     if not path.is_file():
         return False
-    beginning = read_head(path, 4096).lstrip()
-    return "<gama-local-adjustment" in beginning if beginning.startswith("<") else recognises(beginning)
+    beginning = read_file_beginning(path, 4096).lstrip()
+    return "<gama-local-adjustment" in beginning if beginning.startswith("<") else is_point_list(beginning)
 
 
 def read_coordinates(path: Path) -> EpochCoordinates:
-    """Coordinates of one epoch with their covariance, from a file or a folder of results; raises RecordError."""
+    """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError."""
     if not path.exists():
         raise RecordError("there is no such file", file=path)
-    folder, path = path, _targets_path(path)
-    is_xml = read_head(path, 256).lstrip().startswith("<")
+    folder, path = path, _target_list_path(path)
+    is_xml = read_file_beginning(path, 256).lstrip().startswith("<")
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
@@ -303,22 +303,22 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
-        raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
+        raise RecordError("contains a covariance matrix that is not positive definite; correct it", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 
 
 def _coordinates_from_gama(path: Path) -> EpochCoordinates:
-    """Adjusted points in a result file of gama-local, with their covariance matrix from its upper band [mm^2]."""
+    """Adjusted points in an XML result of gama-local, with the covariance matrix from its upper band [mm^2]."""
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
-    point_cells = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
-    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in point_cells}
+    entries = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
+    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in entries}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
         raise RecordError("contains points with different axes (xy, xyz); give points with the same axes", file=path)
-    points = np.zeros((len(point_cells), 3))
+    points = np.zeros((len(entries), 3))
     points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
-        [_parse_number(row[axis]) for axis in axes] for row in point_cells
+        [_parse_number(row[axis]) for axis in axes] for row in entries
     ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
@@ -326,21 +326,21 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    if size < (n_used := len(point_cells) * len(axes)):
-        raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
+    if size < (n_used := len(entries) * len(axes)):
+        raise RecordError(f"contains a <cov-mat> that is smaller than its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""
-    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in point_cells)
+    names = tuple(SourceLocation(path).checked_name(row["id"].text if "id" in row else "", "target") for row in entries)
     return EpochCoordinates(title or path.name, names, axes, points, matrix[:n_used, :n_used] * MILLIMETRE**2)
 
 
 def _parse_number(cell: XmlNode) -> float:
-    return cell.location.number(cell.text, f"<{cell.tag}>")
+    return cell.location.parse_number(cell.text, f"<{cell.tag}>")
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Coordinates from a list, along the axes it contains; covariance from `NAME.covariance.csv` or its columns."""
+    """Coordinates in a list of points, with covariances from `NAME.covariance.csv` or from columns of the list."""
     point_list = read_points(path)
     measured = np.isfinite(point_list.points)
     axes = "".join(
@@ -370,8 +370,8 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, (*point_list.notes, note))
 
 
-def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
-    """Content of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2] of coordinates with names like ``TARGET.x``."""
+def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:
+    """Text of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2]; `coordinates` are names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(map(escape_formula, coordinates))
@@ -382,7 +382,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
 
 
 def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
-    """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
+    """Covariance matrix [mm^2] of the coordinates `coordinate_names`, which the file may contain in another order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
     names = list(map(unescape_formula, first.fields[1:]))
@@ -391,10 +391,10 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
         what = f"the coordinate {safe_excerpt(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("has rows whose length differs from the header", file=path)
-    matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
+        raise RecordError("contains rows with more or fewer cells than the header", file=path)
+    matrix = np.array([[SourceLocation(path, row.line).parse_number(text) for text in row.fields[1:]] for row in body])
     sigma = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
-        raise RecordError("is not symmetric", file=path)
+        raise RecordError("contains a matrix that is not symmetric", file=path)
     indices = [names.index(name) for name in coordinate_names]
     return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]

@@ -1,4 +1,4 @@
-"""Reading and writing of recordings in any supported file format."""
+"""Reading and writing of recordings (observations with their set-up) in all supported file formats."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ from ltsim.recordings import coordinates, native
 from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
-    clock_questions,
-    mirror_image_sentences,
-    vertical_pointings_notes,
+    mirror_image_warnings,
+    time_unit_questions,
+    vertical_sight_notes,
 )
-from ltsim.recordings.files import read_head, with_unix_line_ends
+from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
@@ -28,20 +28,19 @@ from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
 from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
-"""Recording, or the path of a file or folder that contains one."""
-MAX_HEAD_BYTES = 16_384
+"""Recording, or path of a file or folder from which one is read."""
+MAX_FORMAT_RECOGNITION_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
-MAX_NOTES = 100
-"""Largest number of notes on a file; a file of unknown keywords could cause 200,000."""
-MIN_CONTRADICTORY_ROWS = 2
-"""Smallest number of rows that repeat a name with other coordinates at which a file is taken as successive positions of
-a moving target, and not as a list of points; it must also be at least the number of different names."""
+MAX_NOTES_PER_FILE = 100
+"""Largest number of reader notes on one file; without it a file of unknown keywords could cause 200,000."""
+MIN_ROWS_SHOWING_MOVING_TARGET = 2
+"""Smallest number of rows, with a name used before and different coordinates, that shows a moving target instead of a
+list of points. The number must also be at least the number of different names."""
 TRIAL_STATION_NAME = "S1"
-"""Station name with which a list of coordinates is read on trial as a table of the positions that one station measured.
-"""
+"""Station name for a test whether a list of coordinates can be read as the positions that one station measured."""
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
-"""Distance [m] between rows with the same name below which they count as repeated measurements of one point, not as
-contradictory coordinates."""
+"""Distance [m] between rows with one name below which they are repeated measurements of one point; rows farther from
+each other contradict each other."""
 NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT_DESCRIPTION = "names and coordinates, which are not a recording"
@@ -49,14 +48,16 @@ TABLE_FORMAT_DESCRIPTION = "delimited text with a header, a folder with one file
 
 
 WriteFunction = Callable[[Recording, Path], None]
+"""Function that writes a recording to a path."""
 
 
 @dataclass(frozen=True)
 class FileFormat:
-    """File format: a function that recognises it by the beginning of a file, its reader, and its writer if it has one.
+    """File format of recordings: test by which it is recognised, reader, and writer (None if it cannot be written).
 
-    `description` is for lists of formats. If `has_signature` is True, no other format can begin in the same way. If the
-    beginning of a file fits several formats, the `suffixes` of file names, such as ".csv", decide.
+    `recognises` tests the path and the first characters of a file. `description` is for lists of formats. If a
+    beginning fits several formats, `suffixes` of file names, such as ".csv", decide, unless a format has a signature:
+    `has_signature` is True if no other format can begin in this way.
     """
 
     name: str
@@ -76,14 +77,17 @@ def _make_format(
     write: WriteFunction | None = None,
     has_signature: bool = False,
 ) -> FileFormat:
+    """Format whose module has the functions `recognises` and `read`."""
     return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 
 def _is_list_of_points(path: Path, file_beginning: str) -> bool:
-    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.recognises(file_beginning)
+    """True if the file is a list of points (names with coordinates), not a recording."""
+    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.is_point_list(file_beginning)
 
 
 def _refuse_point_list(path: Path, hints: Hints) -> Recording:
+    """RecordError for a list of points, which is not a recording; the function always raises an error."""
     point_list = coordinates.read_points(path, refuses_contradictions=False)
     n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
     if n_repeated:
@@ -96,20 +100,18 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
     if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names):
-        message = (
-            f"this is a table of {n_points + n_repeated} positions without point names, as of a target that moves "
-        )
-        message += "(a robot, a T-MAC); it is no list of points"
-    elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_DISTANCE_M:
-        message = (
-            f"this is a list of {n_points} points, measured {n_points + n_repeated} times in all, without readings"
-        )
-    elif n_repeated >= max(n_points, MIN_CONTRADICTORY_ROWS):
+        message = f"this is a table of {n_points + n_repeated} positions without point names, as a moving target gives "
+        message += "(on a robot, a T-MAC); it is not a list of points"
+    elif n_repeated and point_list.max_repeated_point_distance_m < MAX_REPEATED_POINT_DISTANCE_M:
+        message = f"this is a list of {n_points} points in {n_points + n_repeated} rows, without instrument readings"
+    elif n_repeated >= max(n_points, MIN_ROWS_SHOWING_MOVING_TARGET):
         rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
-        message = f"this is a table of {rows}, as of a target that moves (a robot, a T-MAC); it is no list of points"
+        message = (
+            f"this is a table of {rows}, as a moving target gives (on a robot, a T-MAC); it is not a list of points"
+        )
     else:
-        message = f"this is a list of {n_points} points without readings, for nominal or reference coordinates"
-    hint = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+        message = f"this is a list of {n_points} points without instrument readings (nominal or reference coordinates)"
+    hint = "if one station measured them in its frame, name the station: --format table --hint station=NAME"
     raise RecordError(f"{message} ({hint})", file=path)
 
 
@@ -138,7 +140,7 @@ FORMATS: tuple[FileFormat, ...] = (
     ),
     _make_format(tables, "table", TABLE_FORMAT_DESCRIPTION, ".csv", ".tsv", ".txt", ".xlsx"),
 )
-"""Supported formats, in the order in which they are tested on a file."""
+"""Supported formats, in the order in which a file is tested for them."""
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
@@ -147,16 +149,16 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     Parameters
     ----------
     path : str or Path
-        A folder or a file.
+        File or folder.
     format : str, optional
         Name of the format; by default recognised by the content, then by the suffix of the file name.
     hints : Hints, optional
-        Decisions on an ambiguous file.
+        Answers to what the file leaves open, such as units or names.
 
     Raises
     ------
     RecordError
-        The error and its location in the file, or the hint that is needed.
+        Error with its location in the file, or the hint that is needed.
     """
     path = Path(path)
     hints = hints or NO_HINTS
@@ -168,18 +170,18 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         raise RecordError(validation_sentence(problem.errors()[0], Setup), file=path) from None
     notes = (
         *recording.notes,
-        *mirror_image_sentences(recording),
-        *clock_questions(recording),
-        *vertical_pointings_notes(recording),
+        *mirror_image_warnings(recording),
+        *time_unit_questions(recording),
+        *vertical_sight_notes(recording),
     )
-    n_unlisted = len(notes) - MAX_NOTES
+    n_unlisted = len(notes) - MAX_NOTES_PER_FILE
     return recording.replace(
-        notes=notes if n_unlisted <= 0 else (*notes[:MAX_NOTES], f"{n_unlisted} further notes on the file are left out")
+        notes=notes if n_unlisted <= 0 else (*notes[:MAX_NOTES_PER_FILE], f"{n_unlisted} further notes are not listed")
     )
 
 
 def is_supported_recording(path: Path) -> bool:
-    """True if a file or folder is in one of the supported formats."""
+    """True if the file or folder is in one of the supported formats."""
     try:
         recognise_format(path)
     except RecordError:
@@ -188,7 +190,7 @@ def is_supported_recording(path: Path) -> bool:
 
 
 def load_recording(source: RecordingSource) -> Recording:
-    """Recording from `source`: the object itself, or read from a path; raises RecordError for any other object."""
+    """Recording from `source`, which is a recording or the path of one; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
@@ -207,7 +209,7 @@ def recognise_format(path: Path) -> FileFormat:
         raise RecordError(f"is not a recording, but contains {advice}", file=path)
     beginning = ""
     if not path.is_dir():
-        beginning = with_unix_line_ends(read_head(path, MAX_HEAD_BYTES))
+        beginning = with_unix_line_ends(read_file_beginning(path, MAX_FORMAT_RECOGNITION_BYTES))
     unread_format = next((f for f in UNSUPPORTED_FORMATS if f.pattern.match(beginning)), None)
     if unread_format is not None:
         raise RecordError(
@@ -216,17 +218,17 @@ def recognise_format(path: Path) -> FileFormat:
     fitting_formats = [f for f in FORMATS if f.recognises(path, beginning)]
     if not fitting_formats:
         formats = "; ".join(f"{f.name} ({f.description})" for f in FORMATS)
-        raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
+        raise RecordError(f"is in none of the formats that ltsim reads: {formats}", file=path)
     return next(
         (f for f in fitting_formats if f.has_signature or path.suffix.lower() in f.suffixes), fitting_formats[0]
     )
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
-    """Export of a recording to a file or folder, in a format (by name) that has a writer.
+    """Export of a recording to a file or folder, in the format with the given name.
 
-    Raises RecordError if the format cannot represent the recording, or the path cannot be written to. No partial file
-    remains.
+    Raises RecordError if the format has no writer or cannot represent the recording, or if the path is not writable. No
+    incomplete file remains.
     """
     writable_formats = tuple(f for f in FORMATS if f.write is not None)
     writer = _format_by_name(format, writable_formats).write
@@ -235,6 +237,7 @@ def write(recording: Recording, path: Path | str, format: str = "native") -> Non
 
 
 def _format_by_name(name: str, formats: tuple[FileFormat, ...]) -> FileFormat:
+    """Format in `formats` with this name; raises RecordError for an unknown name."""
     format_by_name = {f.name: f for f in formats}
     if name not in format_by_name:
         raise RecordError(str(unknown_name_error("format", name, format_by_name)))

@@ -1,4 +1,4 @@
-"""Types of the values in user-written TOML files, and the base class of the tables of these files."""
+"""Types of values in TOML files written by users (`setup.toml`, plans, campaigns), and base class of their tables."""
 
 from __future__ import annotations
 
@@ -13,31 +13,37 @@ if TYPE_CHECKING:
     from ltsim.core.arrays import Floats
 
 ListedValue = TypeVar("ListedValue")
+"""Type of the values in a list."""
 
 
 def _require_nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Unchanged `vector`; raises ValueError if it is shorter than `MIN_VECTOR_LENGTH`."""
     if not max(abs(component) for component in vector) > MIN_VECTOR_LENGTH:
         raise ValueError("a direction should not have length zero")
     return vector
 
 
-def _require_not_tiny(value: float) -> float:
+def _require_min_positive(value: float) -> float:
+    """Unchanged `value`; raises ValueError if it is smaller than `MIN_POSITIVE`."""
     if value < MIN_POSITIVE:
         raise ValueError(f"it should be at least {MIN_POSITIVE:g}")
     return value
 
 
 def _without_repetitions(values: tuple[ListedValue, ...]) -> tuple[ListedValue, ...]:
+    """Distinct values in the order of their first occurrence."""
     return tuple(dict.fromkeys(values))
 
 
 def _require_single_line(text: str) -> str:
+    """Unchanged `text`; raises ValueError if it is not one line of printable characters."""
     if not text.isprintable():
         raise ValueError("it should be one line of printable text")
     return text
 
 
 def _require_calendar_date(text: str) -> str:
+    """Unchanged `text`; raises ValueError if it is not a date in ISO format."""
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
@@ -45,6 +51,7 @@ def _require_calendar_date(text: str) -> str:
 
 
 def _require_positive_definite(upper_triangle: tuple[float, ...]) -> tuple[float, ...]:
+    """Unchanged entries xx, xy, xz, yy, yz, zz of a matrix; raises ValueError if it is not positive definite."""
     import numpy as np  # help of a verb need not wait for it
 
     matrix = symmetric_matrix(upper_triangle)
@@ -64,36 +71,50 @@ def symmetric_matrix(upper_triangle: tuple[float, ...]) -> Floats:
 
 
 MIN_CORRELATION_EIGENVALUE = 1e-9
-"""Smallest eigenvalue of the correlation matrix of a declared covariance; with a smaller one the covariance is refused
-as not positive definite."""
+"""Smallest permitted eigenvalue of the correlation matrix of a declared covariance. Below this limit the covariance
+counts as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
-"""Length below which a vector is refused as a direction."""
+"""Length below which a vector has no direction and is refused."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
+"""Finite number of at most 1e11 in magnitude."""
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+"""Number from 0 to 1e9."""
 MIN_POSITIVE = 1e-9
-"""Smallest permitted value of a positive number, in the unit of its key, because results are divided by the square of
-the number."""
-Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_not_tiny)]
+"""Smallest permitted value of a number that must be positive, in the unit of its key: results are divided by its
+square."""
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_min_positive)]
+"""Number from `MIN_POSITIVE` to 1e9."""
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
+"""Elevation from -90 to 90 deg."""
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""Height of at most 1e6 in magnitude, in the unit of its key."""
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+"""Coordinate axes, as letters in alphabetical order."""
 DistinctValues = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
-"""Values of a list, each once: a file of 1 MB could repeat a name 100,000 times."""
+"""List whose repeated values are removed, because a file of 1 MB could repeat a name 100,000 times."""
 SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
+"""Text of one line with at most 200 characters."""
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
+"""Calendar date in ISO format, such as 2026-05-31."""
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec, ppm]; with a smaller one the normal equations lose digits."""
+"""Smallest permitted standard deviation [mm, arcsec or ppm]; a smaller one would make the normal equations inaccurate.
+"""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
+"""Standard deviation from `MIN_SIGMA` to 1e9."""
 Vector = tuple[Finite, Finite, Finite]
+"""Vector x, y, z."""
 Covariance = Annotated[
     tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_require_positive_definite)
 ]
+"""Entries xx, xy, xz, yy, yz, zz of a positive definite covariance matrix."""
 Direction = Annotated[Vector, AfterValidator(_require_nonzero)]
+"""Vector x, y, z of any length except 0, whose direction is used."""
 EXACT_LEVELLING_SIGMA_ARCSEC = 1e-3
-"""Standard deviation [arcsec] of levelling for formats that assume exact levelling (gama-local, LGC without ROT3D)."""
+"""Standard deviation [arcsec] of the tilt of instruments in formats that assume exact levelling (gama-local, LGC
+without ROT3D)."""
 
 
 class TomlSection(DescribedModel):
-    """Base class of the tables of user-written TOML files: unknown keys are errors, values are immutable."""
+    """Base class of tables in TOML files written by users: unknown keys are errors, and values cannot be changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

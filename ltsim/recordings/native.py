@@ -1,4 +1,4 @@
-"""Native format of recordings: a folder with `observations.csv` and `setup.toml` (ltsim-recording/1)."""
+"""Native format of recordings (ltsim-recording/1): a folder with `observations.csv` and `setup.toml`."""
 
 import csv
 import difflib
@@ -17,7 +17,7 @@ from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
-    MAX_NUMBER_LENGTH,
+    MAX_NUMBER_TEXT_LENGTH,
     NUMBER_PATTERN,
     SourceLocation,
     is_not_finite,
@@ -26,7 +26,7 @@ from ltsim.recordings.files import (
     safe_excerpt,
     write_texts,
 )
-from ltsim.recordings.occupations import check_centring
+from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
@@ -48,10 +48,10 @@ OBSERVATIONS_FILE = "observations.csv"
 SETUP_FILE = "setup.toml"
 REQUIRED_COLUMNS = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 READING_COLUMNS = ("distance_mm", "azimuth_deg", "elevation_deg")
-BASIC_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
+STANDARD_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
 ENUMERATED_COLUMNS = {DISTANCE_METER_COLUMN: ("adm", "ifm", ""), DISTANCE_KIND_COLUMN: ("slope", "horizontal", "")}
 TEXT_COLUMNS = (*ENUMERATED_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
-COLUMN_BOUNDS = {
+COLUMN_VALUE_BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
     "elevation_deg": (-90.0, 270.0),
@@ -61,43 +61,43 @@ COLUMN_BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
-"""Smallest and largest permitted number of each column, in the unit of its name."""
+"""Smallest and largest permitted number in each column of numbers, in the unit in the column's name."""
 WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
-"""Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
+"""Endings of column names that show a wrong unit, in addition to the units that ltsim knows."""
 TextTable = tuple[list[str], list[Sequence[str]]]
-"""Names of columns, and the texts of each column, as in `observations.csv`. A list of rows takes twice the memory."""
-MAX_COMPARED_NAMES = 100_000
-"""Largest number of comparisons of two names, in all notes on unused settings together, by which similar names are
-proposed; each comparison takes 5 us."""
+"""Column names and column texts of a table such as `observations.csv`; as rows they would take twice the memory."""
+MAX_NAME_COMPARISONS = 100_000
+"""Largest number of pairs of names, in all notes on a recording, that are compared to propose similar names; a
+comparison takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
-"""Largest number of distinct texts of a file for which equal cells share one string, to save memory."""
+"""Largest number of different cell texts of a file for which equal cells share one string, to save memory."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True for a recording folder or its `observations.csv`."""
+    """True if `path` is a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_table_folder(path)) or path.name == OBSERVATIONS_FILE
 
 
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording from a folder, or from the path of the `observations.csv` in it; raises RecordError.
+    """Recording from its folder, or from the path of its `observations.csv`; raises RecordError.
 
-    For a recording that is still growing (`hints.incomplete_tail`) an incomplete last row is ignored, and targets of
-    reference lengths may be missing. Azimuths that `hints` declares clockwise are reversed.
+    With `hints.is_growing` the file may still grow: an incomplete last row is ignored, and targets of reference
+    lengths may be missing. If `hints` declares clockwise azimuths, their sign is changed.
     """
     folder = path.parent if path.name == OBSERVATIONS_FILE else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    table = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
-    recording = parse(table, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
+    table = _read_table(folder / OBSERVATIONS_FILE, is_growing=hints.is_growing)
+    recording = parse_observations(table, read_setup(folder / SETUP_FILE), folder, is_growing=hints.is_growing)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
 
-def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
-    """Header and columns of a CSV file; with `incomplete_tail` an incomplete end is ignored. Raises RecordError."""
+def _read_table(path: Path, *, is_growing: bool) -> TextTable:
+    """Column names and columns of a CSV file, without an incomplete last row if `is_growing`; or RecordError."""
     lines = read_lines(path)
-    if lines[-1] and incomplete_tail:
+    if lines[-1] and is_growing:
         lines = lines[:-1]
     elif lines[-1]:
         raise SourceLocation(path, len(lines) - 1).error(
@@ -131,8 +131,11 @@ def _yield_and_free_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """Recording from header and columns of `observations.csv`, and its set-up; `folder` is only named in errors."""
+def parse_observations(table: TextTable, setup: Setup, folder: Path, *, is_growing: bool = False) -> Recording:
+    """Recording from the texts of `observations.csv` and its set-up; `folder` is named in errors.
+
+    With `is_growing` reference values and centring errors are not checked.
+    """
     file = folder / OBSERVATIONS_FILE
     header = list(map(unescape_formula, table[0]))
     _check_header(header, file)
@@ -151,7 +154,7 @@ def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool
     )
     empty_rows = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(empty_rows):
-        message = "the row has no reading, expected an azimuth, an elevation or a distance"
+        message = "the row has no reading; expected an azimuth, an elevation or a distance"
         raise SourceLocation(file, int(empty_rows[0]) + 1).error(message)
     require_degrees_and_millimetres(measured, station, target, face, file)
     covariates, labels = _additional_columns(columns, file)
@@ -169,37 +172,37 @@ def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool
         labels=labels,
         has_clock="time_s" in columns,
     )
-    if not incomplete_tail:
+    if not is_growing:
         _require_valid_gauge(recording, folder / SETUP_FILE)
         check_reference_difference_ends(recording, folder / SETUP_FILE)
-        check_centring(recording, folder / SETUP_FILE)
+        check_centring_tables(recording, folder / SETUP_FILE)
     _require_declared_smrs(recording, folder)
     return recording.replace(notes=_unused_settings_notes(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
-    """Check that every required column occurs once, in the unit of the format; raises RecordError."""
+    """Check that the header has every required column once, in the unit of the native format; raises RecordError."""
     location = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
         raise location.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
-        location.text(name)
+        location.checked_text(name)
         if not name:
             raise location.error(f"column {i + 1} has no name")
         if name in header[:i]:
             raise location.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
-        right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
+        right = next((k for k in COLUMN_VALUE_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
             and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
-            and name not in COLUMN_BOUNDS
+            and name not in COLUMN_VALUE_BOUNDS
         ):
-            raise location.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
+            raise location.error(f"the unit '{unit}' is not permitted here, expected the column {right}", name)
     for name in REQUIRED_COLUMNS:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
-            hint = f" ('{safe_excerpt(near[0])}' looks like it)" if near else ""
+            hint = f"; '{safe_excerpt(near[0])}' has a similar name" if near else ""
             raise location.error(f"the required column {name} is missing{hint}")
 
 
@@ -217,18 +220,18 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 
 
 def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
-    """Numbers (n,) in a column of n texts, checked with `COLUMN_BOUNDS`; empty cells are NaN if `is_optional`."""
-    low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
+    """Numbers (n,) in n cells, within `COLUMN_VALUE_BOUNDS`; an empty cell is NaN if `is_optional`, else an error."""
+    low, high = COLUMN_VALUE_BOUNDS.get(location.column or "", (-1e15, 1e15))
     numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
     texts = [column[i] for i in filled_rows]
-    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
+    if max(map(len, texts), default=0) <= MAX_NUMBER_TEXT_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
         numbers[filled_rows] = list(map(float, texts))
         if np.all((numbers[filled_rows] >= low) & (numbers[filled_rows] <= high)):
             return numbers
     for i in filled_rows:  # to name the first that is wrong
         cell = replace(location, row=i + 1)
-        numbers[i] = cell.number(column[i], limit=1e15)
+        numbers[i] = cell.parse_number(column[i], limit=1e15)
         if not low <= numbers[i] <= high:
             hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
             raise cell.error(f"found {safe_excerpt(column[i])}, expected a value from {low:g} to {high:g}{hint}")
@@ -238,20 +241,20 @@ def _float_column(column: list[str], location: SourceLocation, *, is_optional: b
 def _additional_columns(
     columns: dict[str, list[str]], file: Path
 ) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
-    """Covariates (additional columns of numbers) and labels (additional columns of texts), by column name."""
+    """Additional columns by name: covariates (columns of numbers) and labels (columns of texts)."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
-        if name in BASIC_COLUMNS:
+        if name in STANDARD_COLUMNS:
             continue
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
-        if (numeric or name in COLUMN_BOUNDS) and name not in TEXT_COLUMNS:
+        if (numeric or name in COLUMN_VALUE_BOUNDS) and name not in TEXT_COLUMNS:
             covariates[name] = _float_column(column, SourceLocation(file, column=name))
             continue
         for i, text in enumerate(column):
             where = SourceLocation(file, i + 1, name)
-            where.text(text)
+            where.checked_text(text)
             if name in ENUMERATED_COLUMNS and text not in ENUMERATED_COLUMNS[name]:
                 raise where.error(
                     f"found '{safe_excerpt(text)}', expected {' or '.join(filter(None, ENUMERATED_COLUMNS[name]))}"
@@ -266,23 +269,20 @@ def _require_valid_gauge(recording: Recording, file: Path) -> None:
         for name in (length.from_, length.to):
             if name not in targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
-                hint = f"; measured were e.g. {', '.join(near)}" if near else ""
+                hint = f"; similar names are {', '.join(near)}" if near else ""
                 where = SourceLocation(file, column=f"gauge.distance {i + 1}")
                 raise where.error(f"the target '{safe_excerpt(name)}' was never measured{hint}")
     ReferenceLengths.from_recording(recording, file)
 
 
 def _require_declared_smrs(recording: Recording, folder: Path) -> None:
-    """Check of SMRs with declared radii: each pointing names its SMR, and its nest has a normal if one is needed.
-
-    Raises RecordError.
-    """
+    """Check, for SMRs with tables, that each pointing has an SMR and each nest a normal if needed; or RecordError."""
     excess_radii(recording, folder / SETUP_FILE)
     names = smr_names(recording)
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
-        message = f"no SMR is named here or in targets.{target}.reflector, expected NAME of a table [reflectors.NAME]"
+        message = f"neither this cell nor targets.{target}.reflector names an SMR; expected a name in [reflectors.NAME]"
         raise SourceLocation(folder / OBSERVATIONS_FILE, row + 1, REFLECTOR_COLUMN).error(message)
 
 
@@ -295,62 +295,62 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
         over = recording.station_setup(name).over
         if over and over not in targets and over not in setup.targets and marks[over] == 1:
             notes.append(
-                f"stations.{name}.over names '{safe_excerpt(over)}', which no pointing and no other set-up names: "
+                f"stations.{name}.over is '{safe_excerpt(over)}', a mark that no pointing and no other set-up names: "
                 f"it has no effect{_similar_names_phrase(over, recording.targets, len(notes))}"
             )
     for name in setup.stations:
         if name not in stations:
             similar = _similar_names_phrase(name, recording.stations, len(notes))
-            notes.append(f"no pointing is from station {name}: the table stations.{name} has no effect{similar}")
+            notes.append(f"station {name} has no pointings: the table stations.{name} has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in targets and name not in marks and name not in joined:
             similar = _similar_names_phrase(name, recording.targets, len(notes))
-            notes.append(f"targets.{name} has known coordinates, but was never measured{similar}")
+            notes.append(f"target {name} has known coordinates, but was never measured{similar}")
         elif target.datum and name not in targets and name not in marks:
             notes.append(
-                f"targets.{name} is left out of the datum, because it was never "
+                f"target {name} is not used for the datum, because it was never "
                 f"measured{_similar_names_phrase(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := keys_deviating_from_data_sheet(entry):
-            notes.append(f"{place}: {', '.join(keys)} replace the values of the data sheet {entry.sheet}")
+            notes.append(f"{place}: the declared {', '.join(keys)} replace values of the data sheet {entry.sheet}")
     if setup.height_above_mark_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
-        notes.append(f"height_above_mark_sigma_mm has no effect: no column {' or '.join(OCCUPATION_COLUMNS)} is given")
+        notes.append(f"height_above_mark_sigma_mm has no effect without a column {' or '.join(OCCUPATION_COLUMNS)}")
     if setup.reference_radius_mm is not None and not setup.reflectors:
-        notes.append("reference_radius_mm has no effect: no table [reflectors.NAME] gives an SMR its radius")
+        notes.append("reference_radius_mm has no effect without tables [reflectors.NAME] with the radii of SMRs")
     return tuple(notes)
 
 
 def _similar_names_phrase(name: str, names: Sequence[str], n_notes: int) -> str:
-    """End of a note, with `names` similar to an unknown `name`; empty if too many names would be compared.
+    """End of a note that proposes names similar to `name`; empty if there are none, or too many to compare.
 
-    `n_notes` is the number of earlier notes; `MAX_COMPARED_NAMES` limits the comparisons of all notes.
+    `n_notes` is the number of earlier notes; `MAX_NAME_COMPARISONS` limits the comparisons of all notes.
     """
-    if (n_notes + 1) * len(names) > MAX_COMPARED_NAMES:
+    if (n_notes + 1) * len(names) > MAX_NAME_COMPARISONS:
         return ""
     similar = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     return f"; did you mean {', '.join(similar)}?" if similar else ""
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Writing of a recording as a folder: both files are written completely, or neither.
+    """Writing of a recording into a folder: both files completely, or none.
 
-    Raises RecordError for names or values that could not be read back, and if the folder cannot be written to.
+    Raises RecordError for names or values that could not be read back, and if the folder is not writable.
     """
     if path.exists() and not path.is_dir():
-        raise RecordError("the path is a file, expected a folder to write the recording to", file=path)
+        raise RecordError("the path is a file, expected a folder for the recording", file=path)
     write_texts(path, recording_texts(recording, path))
 
 
 def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
-    """Contents of the files of a recording's folder, by name; `path` is named in errors.
+    """Contents of `observations.csv` and `setup.toml` of a recording, by file name; `path` is named in errors.
 
     Raises RecordError for names or values that could not be read back.
     """
     (header, columns), toml = observation_table(recording), setup_to_toml(recording.setup, path / SETUP_FILE)
     validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
-    parse((header, columns), recording.setup, path)
+    parse_observations((header, columns), recording.setup, path)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
@@ -359,7 +359,7 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
 
 def observation_table(recording: Recording) -> TextTable:
-    """Header and columns of `observations.csv` for a recording."""
+    """Column names and columns of the `observations.csv` of a recording."""
     readings = recording.readings
     columns: dict[str, Sequence[str]] = {
         "station": [escape_formula(recording.stations[i]) for i in recording.station],
@@ -378,14 +378,14 @@ def observation_table(recording: Recording) -> TextTable:
 
 
 def _integer_texts(values: Ints) -> list[str]:
-    """Texts of integers; equal integers share a text to save memory."""
+    """Integers as texts; equal integers share one string to save memory."""
     distinct, index = np.unique(values, return_inverse=True)
     texts = list(map(str, distinct.tolist()))
     return [texts[i] for i in index]
 
 
 def _number_texts(si_values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
-    """Texts of values, divided by `unit`: with `digits` decimals if exact, otherwise with all digits; '' for NaN."""
+    """Numbers divided by `unit` as texts, with `digits` decimals if exact, otherwise with all digits; '' for NaN."""
     is_finite = np.isfinite(si_values)
     finite_values = (si_values[is_finite] / unit).tolist()
     texts = list(map(repr, finite_values))

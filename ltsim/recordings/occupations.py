@@ -1,4 +1,4 @@
-"""Days of the pointings of a recording, and occupations of its targets by reflectors."""
+"""Days of pointings, and occupations of targets (times during which the reflector on a target is not moved)."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.recording import OCCUPATION_COLUMNS, Recording
 
 DAY_COLUMN = "date"
-"""Name of the column with the day of each pointing."""
+"""Name of the column with the day of each pointing, as text."""
 DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
-MAX_LISTED_NAMES = 12
-"""Largest number of names that a message lists if no name is similar to the unknown one."""
+MAX_NAMES_IN_MESSAGE = 12
+"""Largest number of names that a message lists if none is similar to the unknown name."""
 
 
 def days_of_pointings(recording: Recording) -> tuple[str, ...]:
-    """Day of each pointing, n texts: from the column `date`, otherwise counted from the first pointing.
+    """Name of the day of each of n pointings: the text in the column `date`, or "day 1", "day 2" and so on by time.
 
-    The result is empty without that column if the recording has no clock or is shorter than a day.
+    The result is empty if there is no such column and the recording has no clock or is shorter than a day.
     """
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
@@ -32,31 +32,32 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
-def check_centring(recording: Recording, file: object) -> None:
-    """Check that the recording has the stations, targets and occupations of each table `[[centring]]`.
+def check_centring_tables(recording: Recording, file: object) -> None:
+    """Check that each table `[[centring]]` of the set-up names stations, targets and columns that the recording has.
 
-    Raises RecordError, which proposes similar names.
+    Raises RecordError, which names `file` and proposes similar names.
     """
     for i, entry in enumerate(recording.setup.centring):
         location = SourceLocation(file, column=f"centring {i + 1}")
         for key, name, names in entry.unknown_names(recording.stations, recording.targets):
-            near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_LISTED_NAMES])
-            raise location.error(f"{key} names '{safe_excerpt(name)}', which was never measured; did you mean {near}?")
+            near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_NAMES_IN_MESSAGE])
+            raise location.error(f"{key} contains '{safe_excerpt(name)}', which is not measured; did you mean {near}?")
         has_days = bool(days_of_pointings(recording))
         if entry.occupation == "day" and not has_days:
-            message = f"occupation = \"day\" needs a column '{DAY_COLUMN}' or times of several days"
-            raise location.error(f"{message}, and the recording has neither")
+            message = f"occupation = \"day\" needs a column '{DAY_COLUMN}', or times over several days"
+            raise location.error(f"{message}; the recording has neither")
         if entry.occupation in OCCUPATION_COLUMNS and entry.occupation not in recording.labels:
             raise location.error(
-                f'occupation = "{entry.occupation}" needs a column of this name, and the recording has none'
+                f'occupation = "{entry.occupation}" needs a column of this name; the recording has none'
             )
 
 
 def target_occupations(recording: Recording, centring: CentringUncertainty) -> Ints:
-    """Index (n,) of the occupation of its target by a reflector, for each of n pointings; -1 without centring errors.
+    """Index (n,) of the target occupation of each of n pointings; -1 for a pointing without centring error.
 
-    The stations and targets with centring errors are those of `centring`. Each target has a single occupation if the
-    recording lacks the column, or the days, that distinguish occupations.
+    In one occupation the reflector on a target is not moved. `centring` gives the rule that separates occupations, and
+    the stations and targets with centring errors. If the recording lacks the column or the days for this rule, each
+    target has one occupation.
     """
     keys: Sequence[object] = ("",) * len(recording)
     if centring.occupation == "station":

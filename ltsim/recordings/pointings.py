@@ -1,4 +1,4 @@
-"""Recordings made from the pointings, or the single observations, that readers of foreign files collect."""
+"""Assembly of a recording from pointings, or single observations, that the reader of another format collects."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,17 +23,19 @@ from ltsim.recordings.recording import (
 from ltsim.recordings.setup import Setup
 
 NOT_MEASURED = float("nan")
-"""Value of a reading that was not measured."""
+"""Value of a reading that was not measured (NaN)."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
+"""Kind of a single observation."""
 _SIGMA_UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
-"""SI value of the unit of the standard deviation in additional columns, by the kind of observation."""
+"""Unit, as SI value, of the column of standard deviations for each kind of observation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """Pointing: names, face, range [m], azimuth and elevation [rad], time [s]; NaN if not measured.
+    """Pointing from a station to a target: face, range [m], azimuth and elevation [rad], time [s]; NaN if not measured.
 
-    `covariates` and `labels` are the numbers and texts of additional columns by name; `source` is the file and line.
+    `covariates` and `labels` are the numbers and the texts in additional columns, by name. `source` is the file and the
+    line.
     """
 
     station: str
@@ -50,9 +52,10 @@ class Pointing:
 
 @dataclass(frozen=True)
 class PointingColumns:
-    """Columns of n pointings: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], additional columns.
+    """Columns of n pointings: names, faces, readings (n, 3) [m, rad, rad], times [s], and additional columns by name.
 
-    NaN means not measured or not declared; `sources` are the file and line of each pointing.
+    Readings and times are NaN if not measured. `covariates` are columns of numbers, `labels` columns of texts,
+    `sources` the file and line of each pointing.
     """
 
     station: Sequence[str]
@@ -65,34 +68,37 @@ class PointingColumns:
     sources: Sequence[str]
 
 
-def name_with_number(name: str, n_earlier: int) -> str:
-    """Unique name of a repeated item, such as a set-up over the same point: `name`, then `name#2` and so on."""
+def numbered_name(name: str, n_earlier: int) -> str:
+    """Unique name of a repeated item, such as a set-up on one mark: `name`, then `name#2`, `name#3` and so on.
+
+    `n_earlier` is the number of earlier items with this name.
+    """
     return f"{name}#{n_earlier + 1}" if n_earlier else name
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
-    """Distinct names in order of appearance, and the index (n,) of each of the n `names` among them.
+    """Distinct names in order of first occurrence, and the index (n,) of each of the n `names` among them.
 
-    `kind` is "station" or "target". Raises RecordError for a name that is not permitted.
+    `kind` is "station" or "target". Raises RecordError, which names `file`, for a name that is not permitted.
     """
     index_by_name: dict[str, int] = {}
     index = []
     for row, name in enumerate(names):
         if name not in index_by_name:
-            index_by_name[SourceLocation(file, row + 1).name(name, kind, kind)] = len(index_by_name)
+            index_by_name[SourceLocation(file, row + 1).checked_name(name, kind, kind)] = len(index_by_name)
         index.append(index_by_name[name])
     return tuple(index_by_name), np.array(index, dtype=np.int64)
 
 
 def has_all_sigma_columns(recording: Recording) -> bool:
-    """True if the recording has columns with the standard deviation of every reading."""
+    """True if columns of the recording give the standard deviation of every reading."""
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NOT_MEASURED)
     for k, name in enumerate(SIGMA_COLUMNS):
         sigmas[:, k] = recording.covariates.get(name, NOT_MEASURED)
     return bool(np.isfinite(sigmas[recording.is_measured]).all())
 
 
-def readings_of(pointings: Sequence[Pointing]) -> Floats:
+def readings_of_pointings(pointings: Sequence[Pointing]) -> Floats:
     """Range, azimuth and elevation (n, 3) [m, rad, rad] of n pointings."""
     values = (value for p in pointings for value in (p.distance, p.azimuth, p.elevation))
     return np.fromiter(values, dtype=np.float64, count=3 * len(pointings)).reshape(-1, 3)
@@ -101,19 +107,20 @@ def readings_of(pointings: Sequence[Pointing]) -> Floats:
 def recording_from_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording of pointings in the order of the file; repeated pointings are numbered.
+    """Recording of pointings in the given order; repeated ones (same station, target and face) are numbered.
 
-    Raises RecordError without pointings, for a pointing without a reading, and for a name that is not permitted.
+    Raises RecordError for no pointings, a pointing without reading, or a name that is not permitted; errors name
+    `file`.
     """
     if not pointings:
-        raise RecordError("holds no pointings", file=file)
+        raise RecordError("contains no pointings", file=file)
     covariate_names = dict.fromkeys(name for p in pointings for name in p.covariates)
     label_names = dict.fromkeys(name for p in pointings for name in p.labels)
     columns = PointingColumns(
         [p.station for p in pointings],
         [p.target for p in pointings],
         np.array([p.face for p in pointings], dtype=np.int64),
-        readings_of(pointings),
+        readings_of_pointings(pointings),
         np.array([p.time for p in pointings]),
         {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in covariate_names},
         {name: [p.labels.get(name, "") for p in pointings] for name in label_names},
@@ -125,18 +132,19 @@ def recording_from_pointings(
 def recording_from_columns(
     columns: PointingColumns, recording_setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording from columns of pointings, with `recording_setup` as its set-up; repeated pointings are numbered.
+    """Recording from columns of pointings; repeated ones (same station, target and face) are numbered.
 
-    Raises RecordError for a pointing without a reading, and for a name that is not permitted.
+    `recording_setup` is its set-up, `notes` are sentences for the user. Raises RecordError, which names `file`, for a
+    pointing without reading and for a name that is not permitted.
     """
     stations, station = index_names(columns.station, "station", file)
     targets, target = index_names(columns.target, "target", file)
     empty_rows = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
     if len(empty_rows):
-        raise RecordError("nothing was measured here", file=file, row=int(empty_rows[0]) + 1)
+        raise RecordError("the row contains no reading", file=file, row=int(empty_rows[0]) + 1)
     for texts in columns.labels.values():
         for text in dict.fromkeys(texts):
-            SourceLocation(file).text(text)
+            SourceLocation(file).checked_text(text)
     has_clock = bool(np.all(np.isfinite(columns.time)))
     return Recording(
         setup=recording_setup,
@@ -158,9 +166,10 @@ def recording_from_columns(
 
 @dataclass(frozen=True)
 class SingleObservation:
-    """Single observation of a target: value and standard deviation [m, rad], heights [m]; NaN if not given.
+    """Single observation (distance, azimuth or elevation) of a target, with its standard deviation; units m and rad.
 
-    `is_horizontal` marks a distance that is reduced to the horizontal plane; `line` is its line in the file, or 0.
+    Heights [m] are those above survey marks. Numbers that the file does not give are NaN. `is_horizontal_distance` is
+    True for a distance reduced to the horizontal plane; `line` is the number of its line in the file, 0 if unknown.
     """
 
     kind: ObservationKind
@@ -170,22 +179,23 @@ class SingleObservation:
     sigma: float = NOT_MEASURED
     instrument_height: float = NOT_MEASURED
     target_height: float = NOT_MEASURED
-    is_horizontal: bool = False
+    is_horizontal_distance: bool = False
     line: int = 0
-    shared_error_changes: dict[str, float] = field(default_factory=dict)
-    """Change of the value [m, rad] by one standard deviation of each error that observations share, by error name."""
+    shared_error_shifts: dict[str, float] = field(default_factory=dict)
+    """Change of the value [m, rad] by one standard deviation of each error that several observations share, by error
+    name."""
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Heights [m] of the instrument and the reflector above their survey marks."""
+        """Heights [m] of instrument and reflector above their survey marks."""
         return self.instrument_height, self.target_height
 
 
-def merge_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
-    """Pointings that combine the single observations from a station to a target.
+def pointings_from_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
+    """Pointings into which the single observations from each station to each target are combined.
 
-    The k-th azimuth, elevation and distance with equal heights form one pointing. Standard deviations and heights
-    become additional columns.
+    The k-th azimuth, elevation and distance, if their heights are equal, form one pointing. Standard deviations and
+    heights become additional columns. `file` is the file name in the source of each pointing.
     """
     pointing_rows: list[dict[str, SingleObservation]] = []
     open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
@@ -206,21 +216,23 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
 
 
 def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
+    """True if all given heights of the instrument are equal, and all given heights of the reflector."""
     return all(
         len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observations), strict=True)
     )
 
 
 def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
+    """Pointing from at most one observation of each kind, given by kind."""
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _SIGMA_UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared_columns = {
         f"shared_{name}_{OBSERVABLE_NAMES_WITH_UNIT[OBSERVABLES.index(kind)]}": change / _SIGMA_UNIT_BY_KIND[kind]
         for kind, observation in row.items()
-        for name, change in observation.shared_error_changes.items()
+        for name, change in observation.shared_error_shifts.items()
     }
     height_columns = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
-    is_horizontal = "distance" in row and row["distance"].is_horizontal
+    is_horizontal_distance = "distance" in row and row["distance"].is_horizontal_distance
     lines = sorted({observation.line for observation in row.values() if observation.line})
     first_observation = next(iter(row.values()))
     return Pointing(
@@ -231,7 +243,7 @@ def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         covariates={
             name: value for name, value in (sigmas | height_columns | shared_columns).items() if value == value
         },
-        labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal else {},
+        labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal_distance else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
 
@@ -239,10 +251,10 @@ def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
 def separate_constant_heights(
     pointings: Sequence[Pointing],
 ) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
-    """Pointings without constant heights, these heights [mm] of the instrument by station, of the reflector by target.
+    """Pointings without constant heights, and these heights [mm] by station (instrument) and by target (reflector).
 
-    If the height of the instrument varies at any station, all heights of instruments remain in the pointings and their
-    mapping is empty. The same holds for the heights of reflectors.
+    If the height of the instrument varies at any station, all instrument heights remain in the pointings, and the
+    mapping by station is empty. The heights of reflectors are treated in the same way.
     """
     constant_heights: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
@@ -258,6 +270,6 @@ def separate_constant_heights(
 
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
-    """Covariates of a pointing without the height in `column` if `is_constant`; otherwise with it, by default 0."""
+    """Covariates of a pointing without the height in `column` if it is constant; otherwise with it, 0 if missing."""
     other_covariates = {name: value for name, value in covariates.items() if name != column}
     return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

@@ -1,4 +1,4 @@
-"""Recording in memory: one row per pointing, stored as arrays by column."""
+"""Recording: pointings of a tracker network as arrays, with the prior knowledge about the set-up."""
 
 from __future__ import annotations
 
@@ -19,50 +19,54 @@ from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Setup, Station, Target
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
-"""Observables of a pointing, in the order of the columns of readings."""
+"""Names of the readings of a pointing, in the order of the columns of `Recording.readings`."""
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
-"""Columns with the standard deviation of each range, azimuth and elevation; for an empty cell the declared noise of the
-instrument is used."""
+"""Columns with the standard deviations of range, azimuth and elevation of each pointing; an empty cell stands for the
+declared noise of the instrument."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
-"""Unit of each of `SIGMA_COLUMNS`, in SI units [m, rad, rad]: millimetre, arc second, arc second."""
+"""Units, as SI values, of the columns `SIGMA_COLUMNS`: millimetre, arc second, arc second."""
 OBSERVABLE_NAMES_WITH_UNIT = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""Names of the observables with the units of their standard deviations in columns, such as `azimuth_arcsec`."""
+"""Names of the observables with the unit of their standard deviation, such as `azimuth_arcsec`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
-"""Columns with the heights of instrument and reflector in each pointing; for an empty cell the height in the set-up is
-used."""
+"""Columns with the heights of instrument and reflector above their marks in each pointing; an empty cell stands for the
+height in `setup.toml`."""
 SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(OBSERVABLE_NAMES_WITH_UNIT)})")
-"""Pattern of the name of a column with the change of each reading by one standard deviation of an error that readings
-share: name of the error, then observable and unit."""
+"""Pattern of the names of columns that give the change of each reading by one standard deviation of a shared error. The
+name contains the name of the error, then the observable with its unit."""
 NON_REGRESSOR_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Names of the columns of standard deviations and heights, which a diagnosis does not use as regressors."""
+"""Columns of standard deviations and heights, on which a diagnosis does not test a dependence of the readings."""
 DISTANCE_KIND_COLUMN = "distance_kind"
-"""Text column with the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
+"""Column with the kind of each distance: ``slope`` (also an empty cell) or ``horizontal``."""
 DISTANCE_METER_COLUMN = "distance_mode"
-"""Text column with the meter that measured a distance: ``adm``, ``ifm`` or empty."""
+"""Column with the distance meter of each pointing: ``adm``, ``ifm`` or an empty cell."""
 REFLECTOR_COLUMN = "reflector"
-"""Text column with the name of the SMR of a pointing; for an empty cell the SMR of the target is used."""
+"""Column with the name of the SMR of each pointing; an empty cell stands for the SMR that `setup.toml` gives the
+target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
-MAX_TIME_S = 2e18
-"""Largest permitted time of a pointing [s]. Unix time in nanoseconds that is read as seconds (1.8e18) is smaller."""
+MAX_POINTING_TIME_S = 2e18
+"""Largest permitted time [s] of a pointing. Unix time in nanoseconds (1.8e18), read as seconds, is below this limit."""
 MIN_COS_ELEVATION_DIVISOR = 1e-6
-"""Smallest cosine of the elevation by which noise across the beam is divided, to avoid a division by zero."""
+"""Smallest value used for the cosine of the elevation, by which the standard deviation across the beam is divided."""
 MIN_COS_ELEVATION_FOR_ANGLES = 1e-4
-"""Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
+"""Cosine of the elevation below which the adjustment does not use the angles of a pointing (21 arcsec from the vertical
 axis).
 
-There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation is not differentiable, so that no linearisation
-is valid.
+There an error of 1 arcsec across the beam changes the azimuth by 2.8 deg, and the elevation is not differentiable, so
+that linearised equations are not valid.
 """
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
-"""Text columns that name the occupation of a survey mark by the instrument, and by the reflector, in each pointing."""
+"""Columns with the name of the occupation (time on a survey mark) of the instrument, and of the reflector, in each
+pointing."""
 
 
-def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
-    """Standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of n pointings by the declared noise.
+def reading_sigmas_from_noise(
+    noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats
+) -> Floats:
+    """Declared standard deviations (n, 3) [m, rad, rad] of the ranges, azimuths and elevations of n pointings.
 
-    `instrument` (n,) is the index into `noise_declarations` of the instrument of each pointing; `range_` (n,) is in m,
-    `elevation` (n,) in rad. The standard deviation of a range is distance_mm + distance_ppm * range; that of an azimuth
-    is the declared one across the beam, divided by the cosine of the elevation.
+    `instrument` (n,) is the index into `noise_declarations` of each pointing's instrument; `range_` (n,) is in m,
+    `elevation` (n,) in rad. The standard deviation of a range is distance_mm + distance_ppm * range. That of an azimuth
+    is the declared value across the beam, divided by the cosine of the elevation.
     """
     noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise_declarations]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
@@ -72,7 +76,7 @@ def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: F
 
 
 def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
-    """Repeat number (n,), 1, 2, ..., of each of n pointings among those from one station to one target on one face."""
+    """Number (n,), from 1, of each of n pointings among those from one station to one target in one face."""
     order = np.lexsort((face, target, station))
     keys = np.stack([station, target, face], axis=1)[order]
     first_rows_of_sights = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
@@ -84,14 +88,14 @@ def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
 
 @dataclass(frozen=True, repr=False)
 class Recording(Result):
-    """Readings of a tracker network in n pointings, with the prior knowledge about its set-up."""
+    """Readings of n pointings in a tracker network, with the prior knowledge about the set-up."""
 
     setup: Setup
-    """Prior knowledge about instruments, stations, targets and reference values, from `setup.toml`."""
+    """Prior knowledge about instruments, stations, targets and reference values: the content of `setup.toml`."""
     stations: tuple[str, ...]
-    """Names of the stations."""
+    """Names of the stations, to which the indices in `station` refer."""
     targets: tuple[str, ...]
-    """Names of the targets."""
+    """Names of the targets, to which the indices in `target` refer."""
     station: Ints
     """Index into `stations` of the station of each of the n pointings, (n,)."""
     target: Ints
@@ -99,31 +103,32 @@ class Recording(Result):
     face: Ints
     """Face (1 or 2) of each of the n pointings, (n,)."""
     repeat: Ints
-    """Number, from 1, of each of the n pointings among those from one station to one target on one face, (n,)."""
+    """Number, from 1, of each of n pointings among those from one station to one target in one face, (n,)."""
     time: Floats
-    """Time [s] of each of the n pointings since the start of the recording, (n,); the row number without a clock."""
+    """Time [s] of each of n pointings since the start of the recording, (n,); the index of the row if there is no
+    clock."""
     readings: Floats
-    """Raw range, azimuth and elevation of each of the n pointings, (n, 3) [m, rad, rad]; NaN if not measured."""
+    """Raw range, azimuth and elevation of each of n pointings, (n, 3) [m, rad, rad]; NaN if not measured."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional columns of numbers by name, (n,) each for n pointings, including the air readings of the instrument.
+    """Additional columns of numbers by name, each (n,) for n pointings, such as the air temperature at the instrument.
     """
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Additional columns of texts by name, n entries each."""
+    """Additional columns of texts by name, each with n entries."""
     has_clock: bool = True
-    """True if `time` was measured; False if it is only the number of the row."""
+    """True if `time` was measured; False if it is the index of the row."""
     notes: tuple[str, ...] = ()
-    """Decisions of a reader on an ambiguous file, and content that it ignored, one sentence each."""
+    """Sentences for the user: how the reader interpreted an ambiguous file, and which content it ignored."""
     sources: tuple[str, ...] = ()
-    """File and line of each row; empty for a native recording, whose rows are those of its table."""
+    """File and line of each pointing, as text; empty for the native format."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite and at most `MAX_TIME_S` in magnitude; raises ModelError."""
-        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME_S))
+        """Check that all times are finite and at most `MAX_POINTING_TIME_S` in magnitude; raises ModelError."""
+        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_POINTING_TIME_S))
         if len(invalid_rows):
             row, value = int(invalid_rows[0]) + 1, self.time[invalid_rows[0]]
             raise ModelError(
-                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME_S:g}; for a recording "
-                "without a clock give time=np.arange(n) and has_clock=False"
+                f"the time of row {row} is {value}, expected seconds of at most {MAX_POINTING_TIME_S:g}; for a "
+                "recording without a clock give time=np.arange(n) and has_clock=False"
             )
 
     def __len__(self) -> int:
@@ -142,12 +147,15 @@ class Recording(Result):
         )
 
     def _lines(self) -> list[str]:
+        """Lines of the printed summary of the recording."""
         return [f"Recording: {self.headline}", *self.notes]
 
     def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+        """Tables of the recording for export, by name."""
         return {"pointings": self._pointings_table}
 
     def _pointings_table(self) -> ColumnValues:
+        """Columns of the table of pointings, by name."""
         distance, azimuth, elevation = (self.readings / [MILLIMETRE, DEGREE, DEGREE]).T
         return {
             "station": [self.stations[i] for i in self.station],
@@ -163,27 +171,27 @@ class Recording(Result):
         }
 
     def row_text(self, row: int) -> str:
-        """Text that names row `row` (from 1), with the file and line from which it was read."""
+        """Text such as "row 7", with the file and line of this row if known; `row` counts from 1."""
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
     def is_measured(self) -> Bools:
-        """Flags (n, 3) of the ranges, azimuths and elevations of n pointings that were measured."""
+        """Flags (n, 3) of the measured ones of the ranges, azimuths and elevations of n pointings."""
         return np.isfinite(self.readings)
 
     @property
-    def is_usable(self) -> Bools:
-        """Flags (n, 3) of the readings of n pointings that an adjustment uses: no angles of vertical sights."""
+    def is_usable_reading(self) -> Bools:
+        """Flags (n, 3) of the readings of n pointings that an adjustment uses; it uses no angles of vertical sights."""
         return self.is_measured & ~(self.is_along_standing_axis[:, None] & [False, True, True])
 
     @property
     def is_along_standing_axis(self) -> Bools:
-        """Flags (n,) of those of n pointings that go along the standing axis of the tracker, to its zenith or nadir."""
+        """Flags (n,) of those of n pointings that go straight up or down, along the standing axis of the tracker."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
     def instruments(self) -> tuple[str, ...]:
-        """Names of the instruments in use; a single unnamed one is called ''."""
+        """Names of the instruments in use; an instrument without a name is ''."""
         names = {self._instrument_name(s) for s in self.stations}
         return tuple(sorted(names))
 
@@ -195,6 +203,7 @@ class Recording(Result):
         return np.array(index_by_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
+        """Name of the instrument at a station; '' for the instrument without a name."""
         name = self.setup.stations.get(station, _DEFAULT_STATION).instrument
         return name if name is not None and name in self.setup.instruments else ""
 
@@ -204,7 +213,7 @@ class Recording(Result):
 
     @property
     def is_corrected(self) -> bool:
-        """True if the set-up declares that the readings of all instruments of the recording are already corrected."""
+        """True if the readings of all instruments are declared as corrected for instrument errors."""
         return all(self.setup.instrument_named(name).corrected for name in self.instruments)
 
     def station_setup(self, station: str) -> Station:
@@ -217,26 +226,26 @@ class Recording(Result):
 
     @property
     def gauge(self) -> LengthGauge:
-        """Reference lengths of the set-up; a gauge without lengths if the set-up declares none."""
+        """Reference lengths of the set-up with their temperatures; a gauge without lengths if none are declared."""
         return self.setup.gauge or LengthGauge()
 
-    def sigma(self) -> Floats:
-        """Declared standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of each of n pointings.
+    def reading_sigmas(self) -> Floats:
+        """Declared standard deviations (n, 3) [m, rad, rad] of the ranges, azimuths and elevations of n pointings.
 
-        A value in the columns `SIGMA_COLUMNS` replaces the one that follows from the instrument's noise. For an azimuth
-        it is the standard deviation of the reading, not the one across the beam.
+        A value in the columns `SIGMA_COLUMNS` replaces the noise of the instrument. The standard deviation of an
+        azimuth refers to the reading, not to the direction across the beam.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, elevation = np.nan_to_num(self.readings).T
-        sigma = noise_sigma(noise, self.station, range_, elevation)
+        sigma = reading_sigmas_from_noise(noise, self.station, range_, elevation)
         for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
             if name in self.covariates:
                 column_sigma = self.covariates[name] * unit
                 sigma[:, column] = np.where(np.isfinite(column_sigma), column_sigma, sigma[:, column])
         return sigma
 
-    def heights(self) -> tuple[Floats, Floats]:
-        """Heights [m] of the instrument (n,) and of the reflector (n,) above survey marks, in each of n pointings."""
+    def heights_above_marks(self) -> tuple[Floats, Floats]:
+        """Heights [m] above survey marks of the instrument (n,) and of the reflector (n,) in each of n pointings."""
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]
         default_heights = np.array(instrument)[self.station], np.array(target)[self.target]
@@ -249,10 +258,10 @@ class Recording(Result):
 
     @property
     def regressor_covariates(self) -> Mapping[str, Floats]:
-        """Covariates by name, (n,) each for n pointings, on which readings may depend.
+        """Covariates by name, each (n,) for n pointings, on which a diagnosis tests a dependence of the readings.
 
-        These are all covariates except standard deviations, heights and shared errors. If both distance meters
-        measured, `distance_mode` is one of the covariates: 1 for the IFM, 0 otherwise.
+        Excluded are standard deviations, heights and shared errors. If both distance meters were used, `distance_mode`
+        is included: 1 for the IFM, 0 otherwise.
         """
         columns = {name: column for name, column in self.covariates.items() if name not in NON_REGRESSOR_COLUMNS}
         regressors = {
@@ -264,13 +273,13 @@ class Recording(Result):
         return regressors
 
     @property
-    def is_horizontal(self) -> Bools:
+    def is_horizontal_distance(self) -> Bools:
         """Flags (n,) of those of n pointings whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, selection: Bools | Ints) -> Recording:
-        """Recording with the rows of `selection`, a mask or indices; stations and targets without rows are dropped."""
+        """Recording with the pointings in `selection` (mask or indices), and with their stations and targets only."""
         row_indices = np.arange(len(self))[selection]
         station_ids, station = np.unique(self.station[row_indices], return_inverse=True)
         target_ids, target = np.unique(self.target[row_indices], return_inverse=True)
@@ -298,15 +307,15 @@ class Recording(Result):
         )
 
     def thin(self, row_step: int) -> Recording:
-        """Recording with every `row_step`-th pointing of each station to each target on each face."""
+        """Recording with every `row_step`-th of the pointings from each station to each target in each face."""
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
     def require_at_most(self, pointings: int, targets: int, command: str) -> None:
-        """Check that the recording has at most this number of pointings and of targets, the limits of a `command`.
+        """Check of the numbers of pointings, targets and set-ups against limits of a `command`; raises NetworkError.
 
-        The number of set-ups is checked too (`MAX_NETWORK_SETUPS`). Raises NetworkError, which names the `command` and
-        the way to divide or to thin the recording. The environment variable that raises the limit of the pointings
-        raises the other limits by the same factor.
+        `pointings` and `targets` are the limits, `MAX_NETWORK_SETUPS` is that of set-ups. The error says how to divide
+        or thin the recording. An environment variable raises the limit of pointings, and the other limits by the same
+        factor.
         """
         setups, pointings, targets = (overridable_limit(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
@@ -335,13 +344,13 @@ class Recording(Result):
 
     @property
     def _larger_limits_phrase(self) -> str:
-        """Text for users: how to raise the limits so that this recording is accepted."""
+        """Advice to the user: the environment variable with which this recording is permitted."""
         return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:
-        """Copy of the recording with these readings (n, 3) [m, rad, rad] of its n pointings instead of its own."""
+        """Copy of the recording in which `readings` (n, 3) [m, rad, rad] replace the readings of its n pointings."""
         return self.replace(readings=readings)
 
     def replace(self, **changes: Any) -> Recording:
-        """Copy of the recording in which `changes` replace the fields with these names."""
+        """Copy of the recording with changed fields: `changes` are the new values by name of the field."""
         return dataclasses.replace(self, **changes)

@@ -1,4 +1,4 @@
-"""Reference values of a recording: lengths at their temperature of use, and coordinate differences between marks."""
+"""Reference values of a recording: lengths at their temperature of use, and vectors between survey marks."""
 
 from __future__ import annotations
 
@@ -18,37 +18,38 @@ from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, s
 EXPANSION_ERROR_PREFIX = "expansion of "
 """Beginning of the name of the error of an expansion coefficient, which lengths of one material share."""
 SCALE_ERROR_NAME = "scale of all lengths"
-"""Name of the scale error that all lengths share."""
+"""Name of the scale error that all reference lengths share."""
 MIN_UNKNOWN_SCALE_SIGMA_PPM = 1000.0
-"""Declared standard deviation [ppm] of the common scale of all lengths above which the lengths determine only ratios.
+"""Declared standard deviation [ppm] of the common scale of all reference lengths, above which the lengths determine
+their ratios only, not the scale.
 
-It corresponds to 40 K for aluminium.
+It corresponds to a change of temperature of 40 K for aluminium.
 """
 
 
 @dataclass(frozen=True)
 class ReferenceLengths:
-    """The g reference lengths between targets of a recording, with their independent and their shared errors."""
+    """Reference lengths between targets (g lengths) with their independent errors and the errors that they share."""
 
     first_targets: Ints
     """Index (g,) of the target at the first end of each of the g lengths."""
     second_targets: Ints
     """Index (g,) of the target at the second end of each of the g lengths."""
     expansion_factors: Floats
-    """Ratio (g,) of each of the g lengths at the temperature of use to the length at its calibration."""
+    """Length at the temperature of use, divided by the length at calibration, for each of g lengths, (g,)."""
     lengths: Floats
-    """Lengths (g,) [m] of the g reference lengths at the temperature of use."""
+    """Reference lengths (g,) [m] at the temperature of use."""
     certificate_sigmas: Floats
-    """Standard deviation (g,) [m] of the independent error of each of the g lengths, from its certificate."""
-    shared_error_changes: dict[str, Floats]
+    """Standard deviation (g,) [m] of the independent error of each of g lengths, as in its calibration certificate."""
+    shared_error_shifts: dict[str, Floats]
     """Change (g,) [m] of the g lengths by one standard deviation of each error that several lengths share, by name of
-    the error: of an expansion coefficient, a thermometer, or the scale."""
+    the error. Such errors are those of an expansion coefficient, of a thermometer, and of the scale."""
 
     @classmethod
     def from_recording(cls, recording: Recording, file: object = "setup.toml") -> Self:
-        """Reference lengths between targets of the recording; `file` is named in errors.
+        """Reference lengths that the set-up of the recording declares; `file` is named in errors.
 
-        Raises RecordError if a material is not declared, or if a length has no temperature in the declared column.
+        Raises RecordError if a material is not declared, or if the column with the temperature of a length is empty.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         indexed_lengths = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
@@ -77,26 +78,24 @@ class ReferenceLengths:
 
     @property
     def is_scale_determined(self) -> bool:
-        """True if the lengths determine the scale of the network, not only the ratios of its lengths."""
-        return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
-            np.any(
-                self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_SIGMA_PPM * PPM * self.lengths
-            )
+        """True if the lengths determine the scale of the network, not only the ratios of distances."""
+        return SCALE_ERROR_NAME not in self.shared_error_shifts or bool(
+            np.any(self.shared_error_shifts[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_SIGMA_PPM * PPM * self.lengths)
         )
 
     @property
-    def sigma(self) -> Floats:
-        """Total standard deviation (g,) [m] of each of the g lengths: certificate and shared errors."""
-        return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
+    def total_sigmas(self) -> Floats:
+        """Total standard deviation (g,) [m] of each of g lengths: independent and shared errors together."""
+        return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_shifts.values()))
 
 
 def _expansion_factor_and_changes(
     recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
-    """Ratio of a length at its temperature of use to the length at calibration, and changes of this ratio by errors.
+    """Ratio of a length at the temperature of use to the length at calibration, and changes of this ratio by errors.
 
-    The changes are those by one standard deviation of each error (of an expansion coefficient or a thermometer), by
-    name of the error; several lengths may share it. `location` (file and column) is named in errors.
+    The changes are due to one standard deviation of an expansion coefficient or a thermometer, by name of this error,
+    which several lengths may share. `location` (file and column) is named in errors.
     """
     if gauge_distance.measured_in_place:
         return 1.0, {}
@@ -112,7 +111,9 @@ def _expansion_factor_and_changes(
     material = gauge if gauge_distance.material is None else materials[gauge_distance.material]
     declared = gauge.measured_at_c if gauge_distance.measured_at_c is None else gauge_distance.measured_at_c
     temperature_c = (
-        _mean_of_column(recording, declared, gauge_distance, location) if isinstance(declared, str) else declared
+        _mean_temperature_of_column(recording, declared, gauge_distance, location)
+        if isinstance(declared, str)
+        else declared
     )
     sigma = (
         gauge.sigma_temperature_k if gauge_distance.sigma_temperature_k is None else gauge_distance.sigma_temperature_k
@@ -130,34 +131,35 @@ def _expansion_factor_and_changes(
     return expansion.length_ratio, {name: change for name, change in change_by_error.items() if change}
 
 
-def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
-    """Mean of the temperatures [deg C] in the column `name`, over the pointings to both ends of the length `gauge`.
+def _mean_temperature_of_column(
+    recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]
+) -> float:
+    """Mean temperature [deg C] in the column `name` over the pointings to both ends of the reference length `gauge`.
 
-    Raises RecordError, which names `location`, if the recording lacks this column or all of these pointings lack a
-    value.
+    Raises RecordError, which names `location`, if the recording lacks the column or has no value in these pointings.
     """
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{safe_excerpt(name)}', which is not a column of numbers; there are {columns}"
+        message = f"measured_at_c is '{safe_excerpt(name)}', expected a column of numbers ({columns}) or a temperature"
         raise RecordError(message, **location)
     end_targets = [recording.targets.index(target) for target in (gauge.from_, gauge.to)]
     column_values = recording.covariates[name][np.isin(recording.target, end_targets)]
     if not np.isfinite(column_values).any():
-        message = f"the column {name} is empty where {gauge.from_} and {gauge.to} were measured, expected temperatures"
+        message = f"the column {name} contains no temperature in the pointings to {gauge.from_} and {gauge.to}"
         raise RecordError(message, **location)
     return float(np.nanmean(column_values))
 
 
 MAX_EXACT_MARK_SIGMA_RATIO = 0.1
-"""Largest ratio of the standard deviation of the coordinates of an unmeasured mark to the standard deviation of a
-reference difference, at which the difference takes the mark as exact."""
+"""Ratio up to which a reference difference treats an unmeasured mark as exact: standard deviation of the mark's
+coordinates divided by that of the difference."""
 
 
 def mark_indices(recording: Recording) -> dict[str, int]:
-    """Index of each survey mark by name, in a recording with T targets and S set-ups.
+    """Index of each survey mark by its name, for a recording with T targets and S set-ups.
 
-    A mark that was measured has the index of its target (0 to T - 1), a mark under a set-up T plus the index of the
-    first set-up over it. Every mark with known coordinates that is neither has the index T + S.
+    A measured mark has the index of its target (0 to T - 1). A mark under a set-up has T plus the index of the first
+    set-up over it. Any other mark with known coordinates has the index T + S.
     """
     n_targets, unmeasured_index = len(recording.targets), len(recording.targets) + len(recording.stations)
     index_by_mark = {
@@ -169,7 +171,7 @@ def mark_indices(recording: Recording) -> dict[str, int]:
 
 
 def check_reference_difference_ends(recording: Recording, file: object) -> None:
-    """Check that each end of a reference difference was measured, or is known ten times better than the difference.
+    """Check that each end of each reference difference was measured, or has known coordinates that count as exact.
 
     Raises RecordError, which names `file`.
     """
@@ -187,6 +189,7 @@ def check_reference_difference_ends(recording: Recording, file: object) -> None:
 
 
 def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
+    """True if the known coordinates of a mark are at least ten times more precise than the difference."""
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
     return is_control and bool(

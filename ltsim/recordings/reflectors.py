@@ -1,4 +1,4 @@
-"""SMRs of several radii: height of each SMR centre above the seat of its nest, minus the reference height."""
+"""SMRs of different radii: height of the SMR centre above the seat of its nest, minus a reference height."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -13,7 +13,7 @@ from ltsim.recordings.setup import Reflector
 
 
 def smr_names(recording: Recording) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, from its row or from its target; '' if neither names one."""
+    """Name of the SMR in each pointing, from its row or else from the table of its target; '' if neither gives one."""
     default_names = [recording.target_setup(name).reflector or "" for name in recording.targets]
     row_names = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
     return tuple(name or default_names[target] for name, target in zip(row_names, recording.target, strict=True))
@@ -27,14 +27,14 @@ def excess_radii_from_smr_names(
     reference_mm: float | None,
     file: object = None,
 ) -> Floats:
-    """Height (n,) [m] of each pointing's SMR centre above the seat of its nest, minus the reference height.
+    """Height (n,) [m] of the SMR centre above the seat of its nest in n pointings, minus the reference height.
 
-    `names` are the SMRs and `targets` the targets of the n pointings. The reference height is `reference_mm`, or the
-    common radius of all SMRs; it is also the height of a pointing without SMR ('' in `names`), such as a planned one.
-    `reflectors` are the declared SMRs by name; `file` is named in errors.
+    `names` are the SMRs and `targets` the targets of the n pointings. `reflectors` are the declared SMRs by name;
+    `file` is named in errors. The reference height is `reference_mm`, or the radius that all SMRs have in common if
+    None. A pointing without SMR ('' in `names`), such as a planned one, has the reference height.
 
-    Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR whose radius
-    is not the reference was in a nest without normal.
+    Raises RecordError if an SMR has no table, or if radii differ without declared reference. Raises it also if the nest
+    of an SMR with another radius than the reference has no normal (`targets_without_normal`).
     """
     names_used = [name for name in dict.fromkeys(names) if name]
     for name in names_used:
@@ -65,10 +65,10 @@ def excess_radii_from_smr_names(
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """Height (n,) [m] of the SMR centre above the nest's seat in each of n pointings, minus the reference height.
+    """Height (n,) [m] of the SMR centre above the seat of its nest in n pointings, minus the reference height.
 
-    The result is None if all differences are 0. Raises RecordError if an SMR has no table, radii differ without a
-    declared reference, or a nest without normal held an SMR whose radius is not the reference.
+    The result is None if all differences are 0. `file` is named in errors. Raises RecordError as
+    `excess_radii_from_smr_names` does.
     """
     setup = recording.setup
     if not setup.reflectors:
@@ -82,9 +82,9 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
 
 
 def require_equal_radii(recording: Recording, task: str) -> None:
-    """Check that all SMRs have the reference radius, so that every SMR centre is at its target.
+    """Check that all SMRs have the reference radius, so that the centre of each SMR is at its target.
 
-    Raises NetworkError, whose subject is the `task` that assumes this.
+    Raises NetworkError, which names the `task` that needs this.
     """
     if excess_radii(recording) is not None:
         raise NetworkError(

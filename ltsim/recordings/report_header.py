@@ -1,4 +1,4 @@
-"""Header of a report, as a table of `setup.toml`."""
+"""Header of a report: content of the table `[report]` of `setup.toml`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from ltsim.recordings.keys import Date, SingleLine, TomlSection
 
 
 class ReportHeader(TomlSection):
-    """Header of a report, table `[report]`; it has no influence on results."""
+    """Header of a report (table `[report]`); no result depends on it."""
 
     instrument: SingleLine | None = None
-    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; by default those that the tables of the
-    instruments declare.
-    """
+    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; by default taken from the tables of the
+    instruments."""
     date: Date | None = None
-    """Day of the measurement, year-month-day."""
+    """Day of the measurement in ISO format (2026-05-31)."""
     operator: SingleLine | None = None
     """Name of the operator."""
     customer: SingleLine | None = None

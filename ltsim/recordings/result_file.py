@@ -1,7 +1,7 @@
-"""Base class of results with a JSON file: the same pydantic model is the Python object and the content of the file.
+"""Base classes of results with a JSON file: one pydantic model is the Python object and the content of the file.
 
-The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
-mixed.
+The JSON file contains digests (SHA-256) of its companion files and of the recording. They show whether a table belongs
+to the same run.
 """
 
 from __future__ import annotations
@@ -37,40 +37,47 @@ from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_te
 from ltsim.recordings.recording import Recording
 
 DIGEST_ROUNDING_STEP = 1e-6
-"""Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
+"""Step [m, rad] to which readings are rounded for a digest, so that a recording has the same digest after export and
+import."""
 DIGEST_ROUNDING_OFFSET = 1.0 / np.pi
-"""Offset, in steps of `DIGEST_ROUNDING_STEP`, that is added before rounding, so that no decimal reading lies halfway
+"""Offset, in multiples of `DIGEST_ROUNDING_STEP`, that is added before rounding; with it no decimal reading is halfway
 between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
-    """Unchanged `value`; None in place of NaN or an infinity."""
+    """Unchanged `value`, or None in place of NaN and infinities."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _require_not_zero(value: Any) -> Any:
-    """Unchanged `value`, a number or a vector; raises ValueError if it is smaller than `MIN_NONZERO_MAGNITUDE`."""
+    """Unchanged number or vector; raises ValueError if no element reaches `MIN_NONZERO_MAGNITUDE` in magnitude."""
     if not np.max(np.abs(value)) >= MIN_NONZERO_MAGNITUDE:
         raise ValueError("Input should not be zero")
     return value
 
 
 Finite = FiniteFloat
+"""Finite number."""
 OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
-"""Number, or null for NaN and infinities, which JSON does not have."""
+"""Number or None; NaN and infinities, which JSON does not have, become None."""
 NotNegative = Annotated[Finite, Field(ge=0)]
+"""Finite number of at least 0."""
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
+"""Standard deviation of at least 0; None if unknown."""
 MIN_NONZERO_MAGNITUDE = 1.0 / MAX_RESULT_MAGNITUDE
-"""Magnitude below which a number counts as zero and is refused: the square of its reciprocal would not be finite."""
+"""Magnitude below which a number counts as zero, because the square of its reciprocal would not be finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
+"""Finite number above 0, at least `MIN_NONZERO_MAGNITUDE`."""
 NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]
+"""Finite number that is not 0."""
 Vector = tuple[Finite, Finite, Finite]
+"""Vector x, y, z."""
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_require_not_zero)]
-"""Rotation as quaternion x, y, z, w of any length except 0."""
+"""Rotation as quaternion x, y, z, w, of any length except 0."""
 
 
 def _stop_at_first_error(schema: Any) -> None:
-    """Modification of a pydantic core schema in place: validation of a list then stops at its first wrong entry."""
+    """Change, in place, of a pydantic core schema: the validation of a list ends at its first wrong entry."""
     if isinstance(schema, list | tuple):
         for part in schema:
             _stop_at_first_error(part)
@@ -83,50 +90,50 @@ def _stop_at_first_error(schema: Any) -> None:
 
 
 class Entry(DescribedModel):
-    """Base class of objects in a result file: values are immutable, unknown keys (of a later version) are ignored."""
+    """Base class of objects in a result file: values cannot be changed, unknown keys (later versions) are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Core schema with which validation of a list stops at its first wrong entry, to save the memory of errors."""
+        """Core schema with which the validation of a list ends at its first wrong entry, to save memory for errors."""
         schema = handler(source)
         _stop_at_first_error(schema)
         return schema
 
     def with_values(self, **values: Any) -> Self:
-        """Validated copy in which `values` replace the fields with these names; NaN and infinities become None.
+        """Validated copy with new values of fields, given by name in `values`; NaN and infinities become None.
 
-        Raises TypeError for a name that is no field: validation would ignore it as a key of a later version.
+        Raises TypeError for a name that is not a field, because validation would ignore it.
         """
         if unknown := sorted(values.keys() - type(self).model_fields.keys()):
             raise TypeError(f"{type(self).__name__} has no field {', '.join(unknown)}")
         return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
 
 
-class SourceEntry(Entry):
-    """Description of the recording from which a result was computed."""
+class ResultSource(Entry):
+    """Identification of the recording, or of the list of coordinates, from which a result was computed."""
 
     title: str = ""
-    """Title of the set-up, for display."""
+    """Title of the recording, for display."""
     pointings: int
-    """Number of pointings of the recording."""
+    """Number of pointings of the recording; 0 for a list of coordinates."""
     digest: str
-    """Digest of the recording, or of the coordinates, from which the result was computed."""
+    """Digest (SHA-256) of the recording or of the coordinates."""
     measured_on: str | None = None
-    """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
+    """Day, or day and time, of the measurement in ISO format; None if the set-up does not give it."""
 
     @classmethod
-    def from_recording(cls, recording: Recording) -> SourceEntry:
-        """Description of a recording: its title, number of pointings, digest and day of measurement."""
+    def from_recording(cls, recording: Recording) -> ResultSource:
+        """Identification of a recording: title, number of pointings, digest and day of the measurement."""
         time_keys = {"measured_on": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(
             title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **time_keys
         )
 
     @classmethod
-    def from_coordinates(cls, coordinates: EpochCoordinates) -> SourceEntry:
-        """Description of a list of coordinates: its title and digest, with 0 pointings."""
+    def from_coordinates(cls, coordinates: EpochCoordinates) -> ResultSource:
+        """Identification of a list of coordinates: title and digest, with 0 pointings."""
         content = (
             "\t".join((*coordinates.names, coordinates.axes)).encode()
             + coordinates.points.tobytes()
@@ -136,17 +143,17 @@ class SourceEntry(Entry):
 
 
 class ResultFile(Entry, Result):
-    """Base model of a result: the object that a public function returns, and the content of its JSON file.
+    """Base model of results: the object that a public function returns, which is also the content of its JSON file.
 
-    Subclasses set `FILE`, the name of the file, and `format`. Arrays that the file does not contain are in private
-    attributes, which the comparison of results ignores.
+    Subclasses define `FILE`, the name of the file, and the default of `format`. Arrays that are not in the file are
+    private attributes; a comparison of two results ignores them.
     """
 
     FILE: ClassVar[str]
     format: str
-    """Format and version of this file."""
-    recording: SourceEntry | None = None
-    """Recording from which the result was computed."""
+    """Format and version of the file, such as `ltsim-calibration/1`."""
+    recording: ResultSource | None = None
+    """Recording, or list of coordinates, from which the result was computed."""
     files: dict[str, str] = Field(default_factory=dict)
     """Digest (SHA-256) of each companion file, by file name."""
 
@@ -157,7 +164,7 @@ class ResultFile(Entry, Result):
         return equal_values(self, other)
 
     def content(self) -> dict[str, Any]:
-        """Content of the file as JSON values: its format and the fields that are set."""
+        """Content of the file as JSON values: the format, and all fields that were set."""
         field_values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         trailing_values = {name: value for name in ("recording", "files") if (value := field_values.pop(name, None))}
         return {"format": self.format} | field_values | trailing_values
@@ -169,7 +176,7 @@ class ResultFile(Entry, Result):
         return stream.getvalue() + "\n"
 
     def is_unchanged_companion(self, folder: Path, name: str) -> bool:
-        """True if the file `name` in `folder` has the digest in `files`: it was written together with this result.
+        """True if the companion file `name` in `folder` has the digest that this result contains for it.
 
         Raises RecordError if the file cannot be read.
         """
@@ -177,11 +184,15 @@ class ResultFile(Entry, Result):
 
 
 def _digest(content: bytes) -> str:
+    """Digest (SHA-256) of bytes, as hexadecimal text."""
     return hashlib.sha256(content).hexdigest()
 
 
 def recording_digest(recording: Recording) -> str:
-    """Digest (SHA-256) of stations, targets, faces, and readings rounded to a micrometre and a microradian."""
+    """Digest (SHA-256) of the stations, targets, faces and readings of a recording.
+
+    Readings are rounded to a micrometre and a microradian.
+    """
     readings = recording.readings
     floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_ROUNDING_STEP + DIGEST_ROUNDING_OFFSET).astype("<i8")
     rounded_steps = np.where(np.isfinite(readings), floored_steps, np.iinfo(np.int64).min).astype("<i8")
@@ -193,12 +204,14 @@ def recording_digest(recording: Recording) -> str:
 
 
 ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
+"""Type of a result."""
 
 
 def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
-    """Copy of `result` with digests of its companion files (contents by file name); all are written into `folder`.
+    """Copy of `result` with the digests of its companion files, after writing its file and these files into `folder`.
 
-    Raises RecordError if the folder cannot be written to; no partial files remain.
+    `companions` are the contents of the companion files by name. Raises RecordError if the folder is not writable; no
+    incomplete files remain.
     """
     digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in companions.items()}
     written = result.model_copy(update={"files": digests})
@@ -207,7 +220,7 @@ def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, 
 
 
 def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
-    """Result read from its file (or folder) and validated against its model; raises RecordError."""
+    """Result from its JSON file, or from the folder with this file, validated by its `model`; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
     content = read_json(file, model.FILE)
     version = content.get("format")
@@ -217,7 +230,7 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     for key, value in content.items():
         if isinstance(value, list) and len(value) > MAX_RESULT_LIST_ENTRIES:
             name = safe_excerpt(key, 100)
-            raise RecordError(f"{name} has {len(value)} entries, expected at most {MAX_RESULT_LIST_ENTRIES}", file=file)
+            raise RecordError(f"{name} has {len(value)} entries, the limit is {MAX_RESULT_LIST_ENTRIES}", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
@@ -228,12 +241,13 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:
-    """JSON object in a file, as a dictionary; `kind` is the expected content, named in errors.
+    """Content of a JSON file with an object, as a dictionary; `kind` is the expected content, for errors.
 
     Raises RecordError for other content, for too many values, and for a number beyond `MAX_RESULT_MAGNITUDE`.
     """
 
     def checked_number(text: str, number_type: Callable[[str], float]) -> float:
+        """Number in a JSON text; raises RecordError beyond `MAX_RESULT_MAGNITUDE`."""
         value = number_type(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_RESULT_MAGNITUDE:
             permitted = f"a finite number of at most {MAX_RESULT_MAGNITUDE:g} in magnitude"
@@ -243,7 +257,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
-        raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
+        raise RecordError(f"contains more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(text, parse_float=parse_decimal, parse_constant=parse_decimal, parse_int=parse_integer)
     except (json.JSONDecodeError, RecursionError):
@@ -256,7 +270,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
     """Path of the companion file `name` of a result in `folder`; None if there is no such file.
 
-    Raises RecordError if the file was not written together with the result.
+    Raises RecordError if the file belongs to another result or was changed.
     """
     file = folder / name
     if not file.is_file():
@@ -270,16 +284,16 @@ def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
 
 
 def require_same_recording(result: ResultFile, recording: Recording | None, folder: Path) -> None:
-    """Check that a recording, if given, is the one from which `result` (read from `folder`) was computed.
+    """Check that `result` was computed from this recording; None as recording is accepted.
 
-    Raises RecordError.
+    Raises RecordError, which names the file of the result in `folder`.
     """
     source = result.recording
     if recording is None or source is None or source.digest == recording_digest(recording):
         return
     title = f"'{safe_excerpt(source.title)}', " if source.title else ""
     raise RecordError(
-        f"is the result of another recording ({title}{source.pointings} pointings) than the one given "
+        f"is the result of another recording ({title}{source.pointings} pointings) than the given one "
         f"({len(recording)} pointings)",
         file=folder / result.FILE,
     )

@@ -1,4 +1,4 @@
-"""Reading and writing of `setup.toml`; errors name the key, its value and the permitted values."""
+"""Reading, validation and writing of `setup.toml`; errors name the key, its value and the permitted values."""
 
 import difflib
 import json
@@ -24,29 +24,30 @@ from ltsim.recordings.files import SourceLocation, read_text, safe_excerpt, with
 from ltsim.recordings.setup import Instrument, Setup
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
+"""Type of the pydantic model that describes a TOML file."""
 _TOML_TOKEN_PATTERN = re.compile(
     r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+(?:"{3,5})?+|"(?:[^"\\\n]++|\\.)*+"?+|#[^\n]*+|[][{}=,.\n]'
     r"|'''(?:[^']++|'{1,2}(?!'))*+(?:'{3,5})?+|'[^'\n]*+'?+"
     rf"|(?<![\w+:-])[\w+:-]{{{MAX_TOML_WORD_CHARACTERS + 1},}}+",
     re.DOTALL,
 )
-"""Pattern of strings, comments, structural characters and too long words of TOML, from which keys, values and depth are
-counted. A string that is not closed, which is no TOML, is one token, so that no character is looked at twice.
-"""
+"""Pattern of the parts of a TOML text (strings, comments, structural characters, too long words) from which keys,
+values and depth are counted. A string without closing quotes, which is not valid TOML, is one part, so that the time
+does not grow with the square of its length."""
 _COMPLETE_TOML_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
-"""Ends of the last line of a complete TOML file."""
+"""Texts with which a complete TOML file can end, besides a comment."""
 
 
 def read_setup(path: Path) -> Setup:
-    """Set-up from the file `setup.toml`; raises RecordError."""
+    """Set-up from a file `setup.toml`; raises RecordError."""
     return validate_setup(read_toml(path, "set-up"), path)
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
-    """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
+    """Content of a TOML file as nested tables; `kind` is the expected content, for errors. Raises RecordError."""
     text = with_unix_line_ends(read_text(path, max_bytes=MAX_TOML_BYTES))
     if not text.endswith(_COMPLETE_TOML_ENDS) and not text.splitlines()[-1].lstrip().startswith("#"):
-        message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
+        message = "ends without a line break and may be incomplete; if it is complete, add a line break at its end"
         raise RecordError(message, file=path)
     check_toml_limits(text, path)
     try:
@@ -58,10 +59,10 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 
 def check_toml_limits(text: str, file: object) -> None:
-    """Check of the number of keys and values, and of the depth of tables, in a TOML text before it is parsed.
+    """Check of the number of keys and values and of the depth of tables in a TOML text, before it is parsed.
 
-    Strings and comments are skipped. Each part of a dotted key counts as a key. Each part, and each bracket around it,
-    adds one to the depth. Raises RecordError, also for a key or number with too many characters.
+    Strings and comments do not count. Each part of a dotted key counts as a key. Each part, and each bracket around it,
+    adds one to the depth. Raises RecordError, which names `file`, also for a key or number with too many characters.
     """
     keys = values = brackets = parts = line = 0
     is_header = False
@@ -101,19 +102,19 @@ def _line_number_of_token(token: re.Match[str]) -> int:
 
 
 def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
-    """Set-up from the tables of a file; `file` is named in errors. Raises RecordError."""
+    """Set-up from the tables of its file; `file` is named in errors. Raises RecordError."""
     tables = with_completed_instruments(
         setup_tables, lambda table, place: _with_data_sheet_defaults(table, place, file)
     )
     setup = validate_settings(tables, Setup, "set-up", file)
-    _check_names(setup, file)
+    _check_setup_names(setup, file)
     return setup
 
 
 def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """Tables of a file in which the table of each instrument is replaced by the result of `complete_table(table, key)`.
+    """Copy of the tables of a set-up in which each instrument's table is the result of `complete_table(table, key)`.
 
-    `key` is ``instrument`` or ``instruments.NAME``.
+    The key is ``instrument`` or ``instruments.NAME``.
     """
     completed, named_instruments = dict(tables), tables.get("instruments")
     if isinstance(named_instruments, dict):
@@ -126,6 +127,7 @@ def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callab
 
 
 def _with_data_sheet_defaults(table: Any, place: str, file: object) -> Any:
+    """Table of an instrument, completed by the values of the data sheet that it names; `place` is its key."""
     if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
         return table
     from ltsim.recordings.specification import (  # most files name no sheet and need not wait
@@ -141,7 +143,7 @@ def _with_data_sheet_defaults(table: Any, place: str, file: object) -> Any:
 
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries of `table`, and those of `defaults` whose keys `table` lacks; nested tables are merged recursively."""
+    """Entries of `table`, completed by those of `defaults` whose keys `table` lacks; so are nested tables."""
     common_keys = [
         key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)
     ]
@@ -149,12 +151,12 @@ def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dic
 
 
 def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:
-    """Tables of a file validated against their model; `kind` is the expected content, `file` is named in errors.
+    """Content of a TOML file as an object of its `model`; `kind` is the expected content, `file` is named in errors.
 
     Raises
     ------
     RecordError
-        The key, its value and the permitted values. A misspelt key is reported first.
+        Key, its value and the permitted values. A misspelt key is reported first.
     """
     expected_format = model.model_fields["format"].default
     if "format" not in tables:
@@ -170,7 +172,7 @@ def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind
 
 
 def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsType:
-    """Settings from a user-written file, validated against their `model`; `kind` is the expected content, for errors.
+    """Content of a TOML file written by a user, as an object of its `model`; `kind` names it in errors.
 
     Raises InputError.
     """
@@ -179,11 +181,12 @@ def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsT
 
 
 def _single_line(problem: Exception) -> str:
+    """Message of an error on one line."""
     return safe_excerpt(" ".join(str(problem).split()), 160)
 
 
-def _check_names(setup: Setup, file: object) -> None:
-    """Check of a set-up: permitted names, declared instruments, two different ends of each length and each difference.
+def _check_setup_names(setup: Setup, file: object) -> None:
+    """Check of a set-up: permitted names, declared instruments, and two different ends of each length and difference.
 
     Raises RecordError, which names `file`.
     """
@@ -194,7 +197,7 @@ def _check_names(setup: Setup, file: object) -> None:
         ("reflector", setup.reflectors),
     ):
         for name in names:
-            SourceLocation(file).name(name, kind)
+            SourceLocation(file).checked_name(name, kind)
     for name, station in setup.stations.items():
         instrument_name = station.instrument
         if instrument_name is not None and instrument_name not in setup.instruments:
@@ -206,14 +209,12 @@ def _check_names(setup: Setup, file: object) -> None:
     for i, length in enumerate(setup.gauge.distance if setup.gauge else ()):
         if length.from_ == length.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-            raise where.error(f"a length from '{safe_excerpt(length.to)}' to itself, expected two different targets")
+            raise where.error(f"the length is from '{safe_excerpt(length.to)}' to itself, expected two targets")
     labels = [difference.label for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
-            raise where.error(
-                f"a difference from '{safe_excerpt(difference.to)}' to itself, expected two different marks"
-            )
+            raise where.error(f"the difference is from '{safe_excerpt(difference.to)}' to itself, expected two marks")
         if difference.label in labels[:i]:
             raise where.error(
                 f"another difference is named '{safe_excerpt(difference.label)}', too; set a different name (key name)"
@@ -221,12 +222,13 @@ def _check_names(setup: Setup, file: object) -> None:
 
 
 def _similar_names(name: str, candidates: Any) -> list[str]:
+    """Candidates, at most three, whose spelling is similar to that of `name`."""
     choices = sorted(str(k) for k in candidates)
     return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
 
 
 def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
-    """Sentence on a validation error in a file described by the model `root`: key, value, permitted values."""
+    """Sentence on a validation error in a TOML file with the model `root`: key, value, and permitted values."""
     # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
     verbatim_index = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     path_parts = [part for i, part in enumerate(error["loc"]) if i == verbatim_index or "[" not in str(part)]
@@ -255,35 +257,38 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
 
 
 def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
-    return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
+    """Keys that the table at a `path` of keys in the model `root` may have."""
+    return [key for _, nodes in json_schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
 
 
 _COUNT_PATTERN = re.compile(
     r"^(?:tuple|list|dictionary) should have (at most|at least) (\d+) items? after validation, not (?:\d+|more)"
 )
-"""Pattern of pydantic's message on a list with too many or too few entries."""
+"""Pattern of the message of pydantic on a list with too many or too few entries."""
 
 
 def _reworded_message(message: str) -> str:
-    """Message of a validation error in the wording of ltsim: `it should ...`."""
+    """Message of pydantic on a wrong value, reworded to `it should ...`."""
     return _COUNT_PATTERN.sub(
         r"it should hold \1 \2", message.replace("input should", "it should").removeprefix("value error, ")
     )
 
 
 JsonSchema = dict[str, Any]
+"""Schema of a value in the notation of JSON Schema."""
 
 
 @lru_cache
 def _model_schema(root: type[BaseModel]) -> JsonSchema:
+    """JSON schema of a pydantic model."""
     return root.model_json_schema(by_alias=True)
 
 
-def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
-    """JSON schemas of the value at a `path` of keys in the model `root`, each with the schemas of its alternatives."""
+def json_schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
+    """JSON schemas of the value at a `path` of keys in the model `root`, with their alternatives ("number or text")."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
-        """Alternative schemas of a node, with references resolved; the node itself if it has no alternatives."""
+        """Alternatives of a schema, with references resolved; the schema itself if it has none."""
         if "$ref" in node:
             return choices(_model_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
         return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
@@ -291,25 +296,25 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     nodes = [_model_schema(root)]
     for part in map(str, path):
         nodes = [
-            schema for node in nodes for choice in choices(node) if (schema := _schema_below(choice, part)) is not None
+            schema for node in nodes for choice in choices(node) if (schema := _schema_of_key(choice, part)) is not None
         ]
     return [(node, choices(node)) for node in nodes]
 
 
-def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
-    """JSON schema of the value of one key (or list index) of a node; None if the node has no such value."""
+def _schema_of_key(node: JsonSchema, path_part: str) -> JsonSchema | None:
+    """JSON schema of a key (or list index) in a table with the schema `node`; None if there is no such key."""
     schema = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
     schema = schema or (node.get("items") if path_part.isdecimal() else None)
     return schema if isinstance(schema, dict) else None
 
 
 def setup_to_toml(setup: Setup, file: object) -> str:
-    """Text of a `setup.toml`, named `file` in errors, from which `read_setup` obtains the same set-up.
+    """Text of a `setup.toml` from which `read_setup` obtains an equal set-up; `file` is named in errors.
 
-    Tables of instruments and of the gauge have all keys; tables of stations and targets have only keys whose values
-    differ from the defaults. The unnamed instrument is left out if named ones exist and it has only defaults.
+    Tables of instruments and of the gauge contain all keys. Tables of stations and targets contain only values that
+    differ from the defaults. The unnamed instrument is omitted if it has only defaults and there are named instruments.
 
-    Raises RecordError for a set-up of more keys than are read.
+    Raises RecordError for a set-up with more keys than can be read.
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
@@ -324,21 +329,21 @@ def setup_to_toml(setup: Setup, file: object) -> str:
     for kind in ("stations", "targets", "reflectors"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
-    if _n_keys(table) > MAX_TOML_KEYS:
+    if _count_keys(table) > MAX_TOML_KEYS:
         message = f"would hold more than {MAX_TOML_KEYS} keys and tables, the limit for reading"
         raise RecordError(f"{message}; divide the recording by station", file=file)
     return to_toml(table)
 
 
-def _n_keys(value: Any) -> int:
+def _count_keys(value: Any) -> int:
     """Number of keys in nested tables."""
     if isinstance(value, Mapping):
-        return len(value) + sum(map(_n_keys, value.values()))
-    return sum(map(_n_keys, value)) if isinstance(value, list | tuple) else 0
+        return len(value) + sum(map(_count_keys, value.values()))
+    return sum(map(_count_keys, value)) if isinstance(value, list | tuple) else 0
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Text of a TOML file for nested tables, with arrays on one line."""
+    """Text of a TOML file with nested tables; each array is on one line."""
     import tomlkit  # its import takes 0.02 s, which reading does not need
 
     return tomlkit.dumps(table).strip() + "\n"

@@ -1,6 +1,6 @@
-"""Prior knowledge about a recording: the content of `setup.toml` (format ltsim-recording/1).
+"""Prior knowledge about a recording: content of `setup.toml` (format ltsim-recording/1).
 
-The name of a key ends with its unit; code that needs SI units converts the values.
+Names of keys end with the unit of the value; code that needs SI units converts the values.
 """
 
 from __future__ import annotations
@@ -33,22 +33,21 @@ from ltsim.recordings.keys import (
 from ltsim.recordings.report_header import ReportHeader as ReportHeader
 
 MIN_BENCH_ANGLES = 3
-"""Smallest permitted number of angles of a bench test: normal incidence and one angle on each side."""
+"""Smallest number of angles in a bench test: normal incidence, and one angle on each side."""
 
 
 class Noise(TomlSection):
-    """Standard deviations of the white noise of readings; a range has distance_mm + distance_ppm * range."""
+    """Standard deviations of the white noise of readings; that of a range is distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
-    """Part of a range's standard deviation that does not depend on the range."""
+    """Constant part [mm] of the standard deviation of a range."""
     distance_ppm: NonNegative = 0.3
-    """Part of a range's standard deviation that is proportional to the range."""
+    """Part of the standard deviation of a range that is proportional to the range."""
     azimuth_arcsec: Sigma = 0.37
-    """Standard deviation of azimuths perpendicular to the beam; that of an azimuth reading is this value divided by the
-    cosine of the elevation.
-    """
+    """Standard deviation of an azimuth, measured across the beam. The standard deviation of the azimuth reading is this
+    value divided by the cosine of the elevation."""
     elevation_arcsec: Sigma = 0.37
-    """Standard deviation of elevation readings."""
+    """Standard deviation of an elevation reading."""
 
     @model_validator(mode="after")
     def _check_range_noise(self) -> Noise:
@@ -58,16 +57,16 @@ class Noise(TomlSection):
 
 
 class Prior(TomlSection):
-    """Prior standard deviations (one sigma) of the instrument's parameters, from the manufacturer's specification."""
+    """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
 
     range_scale_ppm: Sigma = 2.0
     """Standard deviation of the scale error of ranges (laser frequency and air)."""
     range_offset_mm: Sigma = 0.010
     """Standard deviation of the zero error of ranges."""
     angle_arcsec: Sigma = 3.0
-    """Standard deviation of every angular misalignment and every encoder error."""
+    """Standard deviation of each angular misalignment and each encoder error."""
     offset_mm: Sigma = 0.020
-    """Standard deviation of every offset of an axis or of the beam."""
+    """Standard deviation of each offset of an axis or of the beam."""
     parameters: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviations of single parameters by name, in the unit of the parameter; they replace the values of the
     other keys."""
@@ -89,18 +88,18 @@ class ElevationLimits(TomlSection):
 
 
 class Instrument(TomlSection):
-    """Instrument of a recording: design, noise, prior of its parameters, range of elevations."""
+    """Instrument: design, noise, prior of its parameters, and elevations that it can measure."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
-    """Origin of the beam: a source in the turning head, or a mirror that steers it."""
+    """Design of the beam steering: laser source in the rotating head, or fixed source with a steering mirror."""
     model: SingleLine | None = None
     """Manufacturer and model, such as "Leica AT960", for the header of a report."""
     serial: SingleLine | None = None
     """Serial number, for the header of a report."""
     sheet: SingleLine | None = None
-    """Name of a built-in data sheet, from which the model, the noise and the prior are taken if the file gives none."""
+    """Name of a built-in data sheet, which gives the model, the noise and the prior where the file does not."""
     corrected: bool = False
-    """True if the readings already contain the corrections of the manufacturer or of an earlier calibration."""
+    """True if corrections of the manufacturer, or of an earlier calibration, are already applied to the readings."""
     noise: Noise = Noise()
     """Standard deviations of the white noise of readings."""
     prior: Prior = Prior()
@@ -110,60 +109,60 @@ class Instrument(TomlSection):
 
 
 class Material(TomlSection):
-    """Material of a gauge or a scale bar; lengths of one material share the error of its expansion coefficient."""
+    """Material of reference lengths (gauge, scale bar); they share the error of its expansion coefficient."""
 
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion of the material."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
+    """Standard deviation of the coefficient of thermal expansion; without it the coefficient is exact."""
 
 
 class LengthMaterialAndTemperature(TomlSection):
-    """Material of a reference length, and its temperature during use."""
+    """Material of a reference length, and temperature of the length during use."""
 
     measured_at_c: Finite | SingleLine | None = None
-    """Temperature of this length during use: a number, or the name of a column of the recording, of which the mean over
-    the pointings to both ends is used; default the temperature of the gauge."""
+    """Temperature of this length during use: a number, or the name of a column of the recording, whose mean over the
+    pointings to both ends is used. Default: temperature of the gauge."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the temperature of this length, an error that all lengths with the same column share;
-    default that of the gauge temperature."""
+    """Standard deviation of the temperature of this length; lengths with the same column share this error. Default:
+    standard deviation of the temperature of the gauge."""
     material: SingleLine | None = None
-    """Name of a table `[gauge.materials.NAME]`; default the expansion coefficient of the gauge."""
+    """Name of a table `[gauge.materials.NAME]`; by default the expansion coefficient in `[gauge]` is used."""
     measured_in_place: bool = False
-    """True for a length that was measured in the hall, such as by an interferometer: it needs no correction for
-    expansion."""
+    """True for a length that was measured in the hall during the recording, for example by an interferometer; no
+    expansion is computed for it."""
 
 
 class GaugeDistance(LengthMaterialAndTemperature):
-    """Reference length (known length) between two targets."""
+    """Reference length (known distance) between two targets."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
     to: str
     """Target at the second end."""
     length_mm: Positive
-    """Length at the temperature of calibration `calibrated_at_c`, or as measured in the hall (`measured_in_place`)."""
+    """Length at the temperature `calibrated_at_c`, or as measured in the hall if `measured_in_place` is true."""
     sigma_mm: Sigma
     """Standard deviation of `length_mm`."""
 
 
 class LengthGauge(TomlSection):
-    """Reference lengths, with the temperatures of their calibration and of the recording."""
+    """Reference lengths of a recording, with their temperatures at calibration and during use."""
 
     calibrated_at_c: Finite = 20.0
-    """Temperature to which all reference lengths refer, except those measured in the hall."""
+    """Temperature at which the reference lengths were calibrated, except those measured in the hall."""
     measured_at_c: Finite | SingleLine = 20.0
-    """Temperature of the gauge during the recording: a number, or the name of a column."""
+    """Temperature of the gauge during use: a number, or the name of a column of the recording."""
     expansion_per_k: Finite = 0.0
-    """Coefficient of thermal expansion of all lengths that name no `material`."""
+    """Coefficient of thermal expansion of all lengths without `material`."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of this coefficient, an error that these lengths share; by default the coefficient is exact.
+    """Standard deviation of this coefficient, an error that these lengths share; without it the coefficient is exact.
     """
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the temperature of the gauge; by default the temperature is exact."""
+    """Standard deviation of the temperature of the gauge; without it the temperature is exact."""
     sigma_scale_ppm: NonNegative | None = None
-    """Standard deviation of a scale error that all lengths share; from 1000 ppm on, the adjustment uses only the ratios
-    of the lengths and not their scale."""
+    """Standard deviation of a scale error that all lengths share. From 1000 ppm on, the adjustment uses only the ratios
+    of lengths."""
     materials: dict[str, Material] | None = None
     """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
@@ -171,37 +170,34 @@ class LengthGauge(TomlSection):
 
 
 class Station(TomlSection):
-    """Prior knowledge about one set-up, from the floor plan or a level.
+    """Prior knowledge about a station (set-up of an instrument), from the floor plan or a level.
 
-    `over` names the target on whose mark the tripod stands. The head is `instrument_height_mm` above the mark along
-    `vertical`, the direction of the plumb line in the network frame (default z; it differs between stations of a
-    network that is so large that the curvature of the earth matters).
+    `over` names the target on whose survey mark the tripod stands. The tracker head is `instrument_height_mm` above the
+    mark along `vertical`, the direction of the plumb line in the network frame. It is z by default, and differs between
+    the stations of a network of many kilometres, because of the curvature of the earth.
     """
 
     position_mm: Vector | None = None
-    """Rough position of the head on the floor plan, an approximate value without weight. Such positions also relate the
-    axes of the floor plan, in which nest normals are given, to the network frame.
-    """
+    """Approximate position of the tracker head on the floor plan, without weight. These positions also define the axes
+    of the floor plan in the network frame, in which nest normals are given."""
     yaw_deg: Finite | None = None
-    """Direction of azimuth zero, counter-clockwise from x: an approximate value, used if fewer than three stations have
-    a `position_mm`.
-    """
+    """Direction of azimuth zero, counter-clockwise from x: an approximate value without weight, used if fewer than
+    three stations have `position_mm`."""
     yaw_sigma_arcsec: Sigma | None = None
-    """Standard deviation of `yaw_deg`, for example of a gyroscope. With this key `yaw_deg` of a levelled station is a
-    weighted constraint.
-    """
+    """Standard deviation of `yaw_deg`, for example of a gyroscope. With it `yaw_deg` of a levelled station is a
+    weighted constraint."""
     levelled: bool = False
-    """True if the standing axis was levelled, which is a weighted constraint."""
+    """True if the standing axis was levelled; this is a weighted constraint."""
     levelling_sigma_arcsec: Sigma = 1.0
     """Standard deviation of the tilt of a levelled standing axis."""
     instrument: str | None = None
-    """Name of the instrument at this station, a table `[instruments.NAME]`."""
+    """Name of the instrument at this station: NAME of a table `[instruments.NAME]`."""
     instrument_height_mm: Height = 0.0
-    """Height of the head above the survey mark under it."""
+    """Height of the tracker head above the survey mark under it."""
     over: str | None = None
     """Name of the target on whose survey mark the tripod stands."""
     vertical: Direction | None = None
-    """Direction of the plumb line in the network frame; default z."""
+    """Direction of the plumb line in the network frame; default: z."""
 
     @model_validator(mode="after")
     def _check_orientation(self) -> Station:
@@ -211,22 +207,23 @@ class Station(TomlSection):
 
 
 class Target(TomlSection):
-    """Prior knowledge about one target.
+    """Prior knowledge about a target.
 
     Along `known_axes`, the coordinates `known_mm` have the uncertainty `known_sigma_mm` or `known_covariance_mm2`.
-    `approximate_mm` is a start value without weight. All targets with `datum` together define the frame by inner
-    constraints, each along its `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
+    `approximate_mm` is a start value without weight. All targets with `datum` define the frame together, by inner
+    constraints along their `datum_axes` (three targets with "xyz", "yz" and "z" define axes by the 3-2-1 rule).
     """
 
     nest_normal: Direction | None = None
-    """Direction of the nest's normal in the axes of the floor plan; a reflector that is not turned has its open face
-    towards it."""
+    """Direction of the normal of the nest, in the axes of the floor plan. The open face of a reflector that is not
+    turned points in this direction."""
     reflector: str | None = None
-    """Name of the SMR in this target, for pointings that name none; targets with the same SMR share its errors."""
+    """Name of the SMR on this target, for pointings without the name of an SMR; targets with one SMR share its errors.
+    """
     reaimed: bool = True
     """True for a reflector that is turned towards the station before each pointing."""
     known_mm: Vector | None = None
-    """Coordinates of a control point, a weighted constraint."""
+    """Known coordinates of a control point, used as a weighted constraint."""
     known_sigma_mm: Sigma = 0.01
     """Standard deviation of each known coordinate."""
     known_covariance_mm2: Covariance | None = None
@@ -234,9 +231,9 @@ class Target(TomlSection):
     known_axes: Axes = "xyz"
     """Axes along which the coordinates are known."""
     plan_only: bool = False
-    """True for a target that is adjusted in plan only; its height has no meaning and is not reported."""
+    """True for a target of which only the plan coordinates x, y are adjusted; its height is not reported."""
     approximate_mm: Vector | None = None
-    """Start value of the coordinates, without weight."""
+    """Approximate coordinates: start value of the adjustment, without weight."""
     datum: bool = False
     """True for a target whose coordinates take part in the inner constraints that define the frame."""
     datum_axes: Axes = "xyz"
@@ -246,14 +243,14 @@ class Target(TomlSection):
 
 
 class ReferenceDifference(TomlSection):
-    """Known vector between two survey marks, for example from levelling (along z) or GNSS: a weighted constraint.
+    """Known vector between two survey marks, for example from levelling (along z) or GNSS; a weighted constraint.
 
-    Marks are targets, or points under set-ups. A mark that was not measured must be known ten times better than the
-    difference.
+    Marks are targets or points under set-ups. The coordinates of a mark that was not measured must be known ten times
+    more precisely than the vector.
     """
 
     name: SingleLine | None = None
-    """Name of the difference, needed if several differences join the same marks; default `A-B` for marks A and B."""
+    """Name of the vector, needed if several vectors join two marks; default: `A-B` for the marks A and B."""
     from_: str = Field(alias="from")
     """Survey mark at the start of the vector."""
     to: str
@@ -269,39 +266,38 @@ class ReferenceDifference(TomlSection):
 
     @property
     def label(self) -> str:
-        """Name of the difference, or `A-B` from the names of its marks if it has none."""
+        """Name of the vector, or `A-B` from the names of its marks."""
         return self.name or f"{self.from_}-{self.to}"
 
 
 class Reflector(TomlSection):
-    """SMR, table `[reflectors.NAME]`; pointings name it in the column `reflector`, or their target does."""
+    """SMR with a radius, table `[reflectors.NAME]`; the column `reflector` or the target's key `reflector` names it."""
 
     radius_mm: Positive
-    """Height of the SMR centre above the surface or nest seat on which the SMR rests; on a plane, the radius of the
-    SMR."""
+    """Height of the SMR centre above the seat of its nest, or above the surface on which it lies; on a plane the radius
+    of the SMR."""
     sigma_radius_mm: NonNegative | None = None
-    """Standard deviation of the radius, an error that all pointings of the SMR share. `ltsim uncertainty` uses it; the
-    adjustment treats the radius as exact.
-    """
+    """Standard deviation of the radius, an error that all pointings of the SMR share. Only `ltsim uncertainty` uses it;
+    the adjustment treats the radius as exact."""
 
 
 class BenchTest(TomlSection):
-    """Range error of a reflector over the angle of incidence, from a bench test: a table `[[bench]]`.
+    """Range error of a reflector as a function of the angle of incidence, from a bench test: table `[[bench]]`.
 
-    `ltsim bench` prints this table. It applies to reflectors that are not turned towards the station, whose error over
-    incidence is estimated with the network.
+    `ltsim bench` prints this table. It applies to reflectors that are not turned towards the station; the network
+    adjustment estimates their range error as a function of incidence.
     """
 
     reflector: str = ""
-    """Name of the SMR; by default the test is valid for every SMR without its own test."""
+    """Name of the SMR; without it the test applies to each SMR that has no test under its name."""
     angle_deg: tuple[Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)], ...]
     """Angles of incidence."""
     error_um: tuple[Finite, ...]
-    """Range error (reading minus true range) at each angle, up to an additive constant that all angles share."""
+    """Range error (reading minus true range) at each angle, up to an unknown constant."""
     sigma_um: tuple[NonNegative, ...]
     """Standard deviation of each error relative to the error at normal incidence."""
     direction_deg: Finite = 0.0
-    """Direction around the nest's normal in which angles of incidence are positive, 0 along the horizontal; an index
+    """Direction, around the normal of the nest, in which angles of incidence are positive: 0 is horizontal. An index
     mark on the SMR shows it."""
 
     @model_validator(mode="after")
@@ -317,65 +313,59 @@ class BenchTest(TomlSection):
 
 
 class Setup(TomlSection):
-    """Contents of `setup.toml`."""
+    """Content of `setup.toml`: prior knowledge about instruments, stations, targets and reference values."""
 
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"
     """Format and version of this file."""
     title: str = ""
     """Title of the recording, free text."""
     started: str = ""
-    """Start of the recording (time 0): date and time in ISO format, or the time alone."""
+    """Start of the recording (time 0): date and time in ISO format, or only the time of day."""
     datum_source: SingleLine | None = None
-    """Source of the coordinates of the targets that define the datum, such as a name of a file. With this key each of
-    these targets is tested against the others; a target that contradicts them is removed from the datum and reported.
-    """
+    """Source of the coordinates of the datum targets, such as a file name. With it each datum target is tested against
+    the others; one that contradicts them is removed from the datum and reported."""
     height_above_mark_sigma_mm: Sigma | None = None
-    """Standard deviation of the height of a tracker head, or a reflector, above its survey mark. With it the adjustment
-    estimates a correction of the height in each occupation (columns `instrument_setup` and `target_setup`).
-    """
+    """Standard deviation of the height of a tracker head, or of a reflector, above its survey mark. With it the
+    adjustment estimates a height correction in each occupation (columns `instrument_setup` and `target_setup`)."""
     curved: bool = False
-    """True if plumb lines differ between stations, as on a sphere of the size of the earth; the key `vertical` of a
-    station has priority.
-    """
+    """True if the plumb lines of the stations differ, as on a sphere of the size of the earth. A station's key
+    `vertical` has priority."""
     refraction: tuple[Finite, Sigma] | None = None
     """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
-    deviation, such as [0.13, 0.1]. With this key the adjustment estimates the coefficient.
-    """
+    deviation, such as [0.13, 0.1]. With this key the adjustment estimates the coefficient."""
     centring: tuple[CentringUncertainty, ...] = ()
     """Centring errors of the targets, one table `[[centring]]` each."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air along the beams, a table `[air]`; the default values of its keys are for halls."""
+    """Uncertainty of the air along the beams, table `[air]`; its default values hold for halls."""
     report: ReportHeader | None = None
     """Header of a report: instrument, date, operator, customer."""
     instrument: Instrument = Instrument()
-    """Instrument of a recording made with one instrument."""
+    """Instrument, table `[instrument]`, of a recording with one instrument."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)
-    """Several instruments by name, tables `[instruments.NAME]`."""
+    """Instruments by name, tables `[instruments.NAME]`, of a recording with several instruments."""
     gauge: LengthGauge | None = None
     """Reference lengths with their temperatures, table `[gauge]`."""
     stations: dict[str, Station] = Field(default_factory=dict)
-    """Prior knowledge about set-ups, tables `[stations.NAME]`."""
+    """Prior knowledge about stations by name, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
-    """Prior knowledge about targets, tables `[targets.NAME]`."""
+    """Prior knowledge about targets by name, tables `[targets.NAME]`."""
     differences: tuple[ReferenceDifference, ...] = ()
     """Known vectors between survey marks, one table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with individual radii, tables `[reflectors.NAME]`. The centre of an SMR is displaced along the nest normal
-    by its radius minus the reference radius. Without tables all SMRs are equal.
-    """
+    """SMRs with their radii, tables `[reflectors.NAME]`. The centre of an SMR is displaced along the nest normal by its
+    radius minus the reference radius. Without these tables all SMRs have one radius."""
     bench: tuple[BenchTest, ...] = ()
     """Bench tests of reflectors, one table `[[bench]]` each."""
     reference_radius_mm: NonNegative | None = None
-    """Radius of the SMR whose centre defines the coordinates of all targets, 0 for the nest seat; default the common
-    radius of the SMRs. The key must be above the first table.
-    """
+    """Radius of the SMR whose centre defines the coordinates of all targets; 0 for the seat of the nest. Default:
+    common radius of the SMRs. The key must be above the first table."""
 
     def instrument_of(self, station: str) -> Instrument:
-        """Instrument of the station with this name."""
+        """Instrument at the station with this name."""
         return self.instrument_named(self.stations.get(station, Station()).instrument or "")
 
     def instrument_named(self, name: str) -> Instrument:
-        """Instrument of this name; the unnamed instrument of the recording if no table has the name."""
+        """Instrument with this name; the table `[instrument]` if there is no such name."""
         return self.instruments.get(name, self.instrument)
 
     @property
@@ -390,7 +380,7 @@ class Setup(TomlSection):
 
     @property
     def instruments_text(self) -> str:
-        """Model and serial number of each instrument that has them, with its name if there are several."""
+        """Model and serial number of each instrument, as text; with the name of the instrument if there are several."""
         tables = self.instruments or {"": self.instrument}
         words_by_name = {name: [word for word in (i.model, i.serial) if word] for name, i in tables.items()}
         return "; ".join(

@@ -1,4 +1,4 @@
-"""Noise of instruments: from maximum permissible errors (MPE) of data sheets, or a default by kind of instrument."""
+"""Noise of instruments, from maximum permissible errors (MPE) in data sheets or from a default for total stations."""
 
 import csv
 import functools
@@ -16,56 +16,56 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 MPE_COVERAGE_FACTOR = 2.0
-"""Maximum permissible error divided by the standard deviation that is derived from it: manufacturers specify a typical
-error of half the maximum."""
+"""Maximum permissible error divided by the standard deviation that is derived from it: 2, because manufacturers specify
+typical errors of half the maximum."""
 TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO = 2.0
-"""Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
-10360-10:2021, 6.3 and annex D).
-"""
+"""Limit of a two-face difference, divided by the limit of the error of a point across the beam (ISO 10360-10:2021, 6.3
+and annex D)."""
 REQUIRED_LIMIT_KEYS = ("transverse_limit_um", "transverse_limit_um_per_m", "range_limit_um", "range_limit_um_per_m")
-"""Keys of a specification that must be given, because acceptance tests have no limit without them."""
+"""Keys that each specification must have: without these limits an acceptance test has no criterion."""
 RANGE_KEY_PREFIXES = ("distance_", "range_")
-"""Beginnings of the keys of noise and prior that follow from the limits of range errors."""
+"""Beginnings of the keys of noise and prior that are derived from the limits of range errors."""
 
-TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
-"""Standard deviations of a first-class total station by ISO 17123, as in manufacturers' data sheets."""
-TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
-"""Instrument that is assumed for files of total stations; its readings are already corrected."""
-ASSUMED_NOISE_TEXT = "the file declares no noise"
-"""Beginning of a note that reports an assumed noise."""
-NO_NOISE_NOTE = (
-    f"{ASSUMED_NOISE_TEXT}: the noise of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
-    "setup.toml, or estimate it from the readings (--noise-from-data)"
+ASSUMED_TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
+"""Standard deviations of a precise total station by ISO 17123, as in data sheets."""
+ASSUMED_TOTAL_STATION = Instrument(noise=ASSUMED_TOTAL_STATION_NOISE, corrected=True)
+"""Instrument that is assumed for files of total stations; it corrects its readings."""
+ASSUMED_NOISE_NOTE_BEGINNING = "the file declares no noise"
+"""Beginning of each note that reports an assumed noise."""
+ASSUMED_TRACKER_NOISE_NOTE = (
+    f"{ASSUMED_NOISE_NOTE_BEGINNING}: the default noise of a laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); "
+    "set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
-"""Note to the user on the assumed noise of a tracker."""
-TOTAL_STATION_NOTE = (
-    ASSUMED_NOISE_TEXT + ": the noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
+"""Note for the user that the default noise of a laser tracker is assumed."""
+ASSUMED_TOTAL_STATION_NOISE_NOTE = (
+    ASSUMED_NOISE_NOTE_BEGINNING
+    + ": the default noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
-"""Note to the user on the assumed noise of a total station, as a template with the noise and the reason to fill in."""
+"""Note for the user that the noise of a total station is assumed; a template for the noise and the reason."""
 
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
-    """True if one of the notes of a recording reports that its noise is assumed, because its file declares none."""
-    return any(note.startswith(ASSUMED_NOISE_TEXT) for note in notes)
+    """True if one of the `notes` of a recording reports that its noise is assumed, because the file declares none."""
+    return any(note.startswith(ASSUMED_NOISE_NOTE_BEGINNING) for note in notes)
 
 
 def noise_origin(notes: Iterable[str]) -> str:
-    """Origin of the noise of a recording with these notes, as an adjective: `assumed` or `declared`."""
+    """Word for the origin of the noise of a recording with these `notes`: `assumed` or `declared`."""
     return "assumed" if has_assumed_noise(notes) else "declared"
 
 
 class Specification(TomlSection):
-    """Maximum permissible errors of an instrument, as in data sheets and in ISO 10360-10:2021, annex D."""
+    """Maximum permissible errors of an instrument (limits), as in data sheets and in ISO 10360-10:2021, annex D."""
 
     name: str = ""
     """Name of the instrument."""
     source: str = ""
-    """Source of the numbers, such as the title of a data sheet."""
+    """Source of the limits, such as the title of a data sheet."""
     transverse_limit_um: NonNegative
-    """Limit of the error of a point perpendicular to the beam, constant part (e_T)."""
+    """Limit of the error of a point across the beam, constant part (e_T)."""
     transverse_limit_um_per_m: NonNegative
-    """Limit of the error of a point perpendicular to the beam, part proportional to the range."""
+    """Limit of the error of a point across the beam, part proportional to the range."""
     range_limit_um: NonNegative
     """Limit of the range error, constant part (e_ADM or e_IFM)."""
     range_limit_um_per_m: NonNegative
@@ -73,7 +73,7 @@ class Specification(TomlSection):
     range_offset_limit_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
     noise_variance_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
-    """Fraction of the variance that is noise; the rest is due to errors of the instrument parameters."""
+    """Fraction of the variance that is noise of readings; the rest is the prior variance of instrument parameters."""
 
     @model_validator(mode="after")
     def _check_positive_limits(self) -> Self:
@@ -83,19 +83,19 @@ class Specification(TomlSection):
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:
-        """Limit (k,) [m] of the error of a point perpendicular to the beam, at k ranges (k,) [m]."""
+        """Limit (k,) [m] of the error of a point across the beam, at k ranges `range_` (k,) [m]."""
         return (self.transverse_limit_um + self.transverse_limit_um_per_m * range_) * MICROMETRE
 
     def range_limit(self, range_: Floats) -> Floats:
-        """Limit (k,) [m] of the error of a point along the beam, at k ranges (k,) [m], without the range zero error."""
+        """Limit (k,) [m] of the error of a point along the beam, at k ranges `range_` (k,) [m], without zero error."""
         return (self.range_limit_um + self.range_limit_um_per_m * range_) * MICROMETRE
 
     def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
-        """Limit (k,) [m] of the errors of k lengths between `first_points` and `second_points` (k, 3) [m].
+        """Limit (k,) [m] of the errors of k lengths between `first_points` (k, 3) and `second_points` (k, 3) [m].
 
-        Points are in the instrument's frame. The limit is the root sum of squares of the limits at both ends, in the
-        direction of the length. The range zero error is the same at both ends and cancels if both are on one line of
-        sight.
+        Points are in the frame of the instrument. The limit is the root sum of squares of the limits at both ends,
+        projected to the direction of the length. The zero error of ranges is equal at both ends, and cancels if the
+        length is along a line of sight.
         """
         difference = second_points - first_points
         direction = difference / np.linalg.norm(difference, axis=1, keepdims=True)
@@ -108,17 +108,17 @@ class Specification(TomlSection):
         return np.sqrt(squares + (offset * self.range_offset_limit_um * MICROMETRE) ** 2)
 
     def two_face_limits(self, points: Floats) -> Floats:
-        """Limit (k,) [m] of the distance perpendicular to the beam between both faces of k points (k, 3) [m]."""
+        """Limit (k,) [m] of the distance, across the beam, between the results in both faces at k points (k, 3) [m]."""
         return TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
 
     def to_instrument(self, construction: str = "source-in-head") -> Instrument:
-        """Instrument whose noise and priors correspond to these limits, each `MPE_COVERAGE_FACTOR` standard deviations.
+        """Instrument with the noise and prior that follow from the limits, each taken as `MPE_COVERAGE_FACTOR` sigmas.
 
-        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. Of each
-        variance `noise_variance_fraction` is noise of the readings, the rest the prior variance of instrument
-        parameters, of which two angular ones act on each direction perpendicular to the beam. The constant part of the
-        limit perpendicular to the beam is all prior of offsets, without noise. The constant part of the range limit is
-        all noise if the range zero has its own limit.
+        The part of a limit that grows with the range is an angle or a scale, the constant part an offset. The fraction
+        `noise_variance_fraction` of each variance is noise of readings, the rest is the prior variance of instrument
+        parameters. Two angular parameters act in each direction across the beam and share this rest. There are two
+        exceptions: the constant part across the beam is all prior of offsets, and the constant part of the range limit
+        is all noise if the zero error has a separate limit.
         """
         sigma = 1.0 / MPE_COVERAGE_FACTOR
         noise_factor, constants_factor = (
@@ -146,8 +146,8 @@ class Specification(TomlSection):
         )
 
     @property
-    def assumption_sentence(self) -> str:
-        """Sentence on how the limits of the data sheet become standard deviations."""
+    def limit_interpretation_sentence(self) -> str:
+        """Sentence that says how the limits of the data sheet become standard deviations."""
         return (
             f"each limit of the data sheet is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, "
             f"{100 * self.noise_variance_fraction:g} % of the variance as noise of the readings and the rest as errors "
@@ -156,6 +156,7 @@ class Specification(TomlSection):
 
 
 def _clip_to_min_sigma(sigma: float) -> float:
+    """Standard deviation of at least 1e-6, the smallest value that a set-up may have."""
     return max(float(sigma), 1e-6)
 
 
@@ -165,9 +166,9 @@ def data_sheet_names() -> tuple[str, ...]:
 
 
 def data_sheet_values(name: str) -> dict[str, Any]:
-    """Values of a built-in data sheet by key of a `Specification`; keys that the sheet does not give are missing.
+    """Values of a built-in data sheet, by key of `Specification`, without keys for which the sheet has no value.
 
-    Raises ModelError if there is no such sheet.
+    Raises ModelError if there is no data sheet with this name.
     """
     if name not in _data_sheets():
         raise unknown_name_error("data sheet", name, _data_sheets())
@@ -175,10 +176,9 @@ def data_sheet_values(name: str) -> dict[str, Any]:
 
 
 def completed_specification_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a `Specification` by key: those that the user declares, and for other keys those of a data sheet.
+    """Values by key of `Specification`: `declared_values` of the user, completed by the built-in data sheet `name`.
 
-    `name` is that of a built-in data sheet. Raises ModelError if there is no such sheet, or neither source gives a
-    required limit.
+    Raises ModelError if there is no such data sheet, or if neither source has a required limit.
     """
     keys = data_sheet_values(name)
     missing = [key for key in REQUIRED_LIMIT_KEYS if key not in keys and key not in declared_values]
@@ -190,21 +190,20 @@ def completed_specification_values(name: str, declared_values: Mapping[str, Any]
     return {**keys, **declared_values}
 
 
-def data_sheet(name: str) -> Specification:
-    """Specification from a built-in data sheet; raises ModelError if the sheet does not give all required limits."""
+def data_sheet_specification(name: str) -> Specification:
+    """Specification from the built-in data sheet `name`; raises ModelError if the sheet lacks a required limit."""
     return Specification.model_validate(completed_specification_values(name, {}))
 
 
 def noise_and_prior_tables(
     name: str, declared_tables: Mapping[str, Any], limit_keys: Iterable[str] = ()
 ) -> dict[str, dict[str, float]]:
-    """Tables ``noise`` and ``prior`` from a built-in data sheet.
+    """Tables ``noise`` and ``prior`` of an instrument, derived from the built-in data sheet `name`.
 
-    `name` is that of the data sheet, `declared_tables` are the tables of the instrument in the user's file. These must
-    contain the values that the sheet does not give, and the keys `limit_keys` of the table ``limits``, because no
-    built-in sheet gives the range of elevations.
+    `declared_tables` are the tables of the instrument in the user's file. They must contain the values that the sheet
+    lacks, and the keys `limit_keys` of the table ``limits``, because no built-in sheet has the range of elevations.
 
-    Raises ModelError if there is no such sheet, or such a value is missing.
+    Raises ModelError if there is no such data sheet, or if such a value is missing.
     """
     figures = data_sheet_values(name)
     specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMIT_KEYS, 1.0), **figures}).to_instrument()
@@ -227,14 +226,14 @@ def noise_and_prior_tables(
         ]
         missing = [key for key in range_keys if key not in declared]
         if missing:
-            raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
+            raise ModelError(f"the data sheet {name} does not give errors of ranges; set {', '.join(missing)}")
     declared_limits = declared_tables.get("limits")
     missing_limits = [
         f"limits.{key}" for key in limit_keys if not isinstance(declared_limits, Mapping) or key not in declared_limits
     ]
     if missing_limits:
         raise ModelError(
-            f"the data sheet {name} does not give the travel of the elevation axis; set {', '.join(missing_limits)}"
+            f"the data sheet {name} does not give the range of elevations; set {', '.join(missing_limits)}"
         )
     return tables
 
@@ -257,11 +256,13 @@ def keys_deviating_from_data_sheet(instrument: Instrument) -> list[str]:
 
 @functools.cache
 def _data_sheets() -> dict[str, dict[str, Any]]:
+    """Values of all built-in data sheets, by name of the sheet."""
     text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")
     return {row["name"]: _values_from_row(row) for row in csv.DictReader(text.splitlines())}
 
 
 def _values_from_row(row: dict[str, str]) -> dict[str, Any]:
+    """Values of a data sheet by key of `Specification`, from its row in the file of built-in sheets."""
     number_by_key = {
         key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")
     }

@@ -1,4 +1,4 @@
-"""Summary of the content of a recording, which the user compares with the field book before any computation."""
+"""Summary of the content of a recording, which the user compares with the field book."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
 MAX_NAMES_IN_SUMMARY = 6
-"""Largest number of names of set-ups, or of texts of noise, in a line of the summary."""
+"""Largest number of names of set-ups, or of different noises, in a line of the summary."""
 
 
 def recording_summary(recording: Recording) -> dict[str, str]:
-    """Summary text of a recording by topic: set-ups, pointings, faces, readings, heights, time, noise, known values."""
+    """Summary of a recording, one text by topic (set-ups, pointings, faces, readings, heights, time, noise, ...)."""
     topics = {
         "set-ups": _setups_text(recording),
         "pointings": _pointings_text(recording),
@@ -30,6 +30,7 @@ def recording_summary(recording: Recording) -> dict[str, str]:
 
 
 def _setups_text(recording: Recording) -> str:
+    """Text on the set-ups: number, names, survey marks under them, levelling."""
     setups = {name: recording.station_setup(name) for name in recording.stations}
     marks_of_setups = [s.over for s in setups.values() if s.over is not None]
     part_text = "" if len(marks_of_setups) == len(setups) else f", {len(marks_of_setups)} of them"
@@ -40,6 +41,7 @@ def _setups_text(recording: Recording) -> str:
 
 
 def _pointings_text(recording: Recording) -> str:
+    """Text on the pointings: number, targets, pointings per set-up, repeats."""
     per_station = np.bincount(recording.station, minlength=len(recording.stations))
     per_station_text = _range_text(per_station.astype(np.float64), "d")
     n_rounds = int(recording.repeat.max(initial=1))
@@ -48,6 +50,7 @@ def _pointings_text(recording: Recording) -> str:
 
 
 def _faces_text(recording: Recording) -> str:
+    """Text on the faces: one face only, or the number of sights in both faces."""
     sights = {face: {*_station_target_pairs_on_face(recording, face)} for face in (1, 2)}
     n_sights, n_two_face_sights = len(sights[1] | sights[2]), len(sights[1] & sights[2])
     if not n_two_face_sights:
@@ -58,13 +61,15 @@ def _faces_text(recording: Recording) -> str:
 
 
 def _station_target_pairs_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
+    """Index pairs (station, target) with a pointing in this face."""
     is_on_face = recording.face == face
     return list(zip(recording.station[is_on_face].tolist(), recording.target[is_on_face].tolist(), strict=True))
 
 
 def _readings_text(recording: Recording) -> str:
+    """Text on the readings: number and span of distances, azimuths and elevations."""
     counts = recording.is_measured.sum(axis=0)
-    horizontal_text = " (horizontal ones)" if recording.is_horizontal.any() else ""
+    horizontal_text = " (horizontal ones)" if recording.is_horizontal_distance.any() else ""
     distances = (
         f"{counts[0]} distances{horizontal_text} of {_range_text(recording.readings[:, 0], '.4g')} m"
         if counts[0]
@@ -76,7 +81,8 @@ def _readings_text(recording: Recording) -> str:
 
 
 def _heights_text(recording: Recording) -> str:
-    instrument, target = recording.heights()
+    """Text on the heights of instruments and targets above survey marks; empty without heights."""
+    instrument, target = recording.heights_above_marks()
     if not instrument.any() and not target.any():
         given = recording.setup.height_above_mark_sigma_mm
         return "none" if given is None else f"of the heads over their marks: not applied, sigma {given:g} mm"
@@ -88,6 +94,7 @@ def _heights_text(recording: Recording) -> str:
 
 
 def _time_text(recording: Recording) -> str:
+    """Text on the time: start and duration, or that there is no clock."""
     if not recording.has_clock or not np.isfinite(recording.time).any():
         return "no clock: the order of the rows replaces the time"
     seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
@@ -97,7 +104,7 @@ def _time_text(recording: Recording) -> str:
 
 
 def recording_noise_text(recording: Recording) -> str:
-    """Text of the standard deviations of readings: per instrument, and `declared per row` if a column gives them."""
+    """Text on the declared standard deviations of each instrument, or "declared per row" for columns of them."""
     instrument_by_noise = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
     words = [noise_text(noise) for noise in instrument_by_noise]
     if len(words) > 1:
@@ -112,7 +119,7 @@ def recording_noise_text(recording: Recording) -> str:
 
 
 def noise_text(noise: Noise) -> str:
-    """Standard deviations of an instrument's readings as text, in the form of a data sheet."""
+    """Standard deviations of an instrument's readings as text, in the form of data sheets ("3 um + 0.3 ppm, ...")."""
     constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
     return (
         f"{constant} + {noise.distance_ppm:.3g} ppm, {noise.azimuth_arcsec:.3g} arcsec across, "
@@ -121,18 +128,19 @@ def noise_text(noise: Noise) -> str:
 
 
 def _reference_values_text(recording: Recording) -> str:
+    """Text on the known values: control points, lengths, differences, rough positions of set-ups."""
     setup = recording.setup
     counts = {
         "control points": sum(t.known_mm is not None for t in setup.targets.values()),
         "lengths": len(recording.gauge.distance),
         "differences": len(setup.differences),
-        "rough places of set-ups": sum(s.position_mm is not None for s in setup.stations.values()),
+        "rough positions of set-ups": sum(s.position_mm is not None for s in setup.stations.values()),
     }
     return ", ".join(f"{count} {what}" for what, count in counts.items() if count) or "nothing"
 
 
 def _range_text(values: Floats | Sequence[float], number_format: str) -> str:
-    """Text with the smallest and the largest finite value, such as "3 to 8"; `number_format` is "d" or like ".4g"."""
+    """Text with the smallest and largest finite value, such as "3 to 8"; `number_format` is "d" or like ".4g"."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     low, high = (format(int(v) if number_format == "d" else v, number_format) for v in (finite.min(), finite.max()))

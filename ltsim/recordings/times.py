@@ -1,4 +1,4 @@
-"""Texts of times and time intervals of a recording, for messages."""
+"""Times and time intervals of a recording, as texts for messages."""
 
 from collections.abc import Sequence
 from datetime import datetime, time as clock, timedelta
@@ -9,7 +9,7 @@ from ltsim.recordings.recording import Recording
 def time_text(recording: Recording, time: float) -> str:
     """Text of a `time` [s] since the start of a recording with a clock.
 
-    The text is date and clock time, or clock time, as the set-up declares the start; otherwise the number of seconds.
+    It is the date and time, or the time of day, if the set-up declares the start; otherwise the number of seconds.
     """
     started = recording.setup.started
     try:
@@ -26,11 +26,11 @@ def time_text(recording: Recording, time: float) -> str:
 def interval_text(
     recording: Recording, first_index: int, second_index: int, row_numbers: Sequence[int] | None = None
 ) -> str:
-    """Text of the interval between the times of two pointings, given by their indices in the recording.
+    """Text of the interval between two pointings, such as `between 310.0 s and 320.0 s (rows 32 and 33)`.
 
-    The numbers of both rows follow the times: `between 310.0 s and 320.0 s (rows 32 and 33)`; without a clock only the
-    rows are given. `row_numbers` (n,) are the row numbers, from 1, of the n pointings in the larger recording of which
-    this recording is a part; by default indices plus 1.
+    `first_index` and `second_index` are the indices of the pointings in the recording. `row_numbers` (n,) are the
+    numbers, from 1, that the n pointings have in the larger recording from which this one was selected; by default
+    indices plus 1. Without a clock the text has only the rows.
     """
     first, second = (index + 1 if row_numbers is None else row_numbers[index] for index in (first_index, second_index))
     rows = f"rows {first} and {second}"

@@ -1,9 +1,9 @@
-"""Transcription errors: readings in a wrong unit, in the opposite sense, or of the other face.
+"""Transcription errors: readings in a wrong unit, in the opposite sense, or with an angle of the other face.
 
-Readers use the list of these errors to refuse a file. An effect simulates such an error, and the diagnosis corrects it
-at a station or a single pointing. A file with a column that is wrong in all rows (radians as degrees, metres as
-millimetres, gon, zenith angles) is refused by `require_degrees_and_millimetres`. A wrong unit in one row is a gross
-error, which the diagnosis locates.
+The errors are listed here, because three parts use them: readers refuse a file, an effect simulates the error, and the
+diagnosis corrects it at a station or in a pointing. `require_degrees_and_millimetres` refuses a file with a column that
+is wrong in all rows (radians, gon or zenith angles in place of degrees of elevation, metres in place of millimetres). A
+wrong unit in one row is a gross error, which the diagnosis detects.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from ltsim.recordings.files import SourceLocation
 
 
 @dataclass(frozen=True)
-class ColumnConversion:
-    """Wrong conversion of columns of a recording, which contain factor * reading + offset in place of the reading."""
+class WrongColumnConversion:
+    """Transcription error that replaces each reading in certain columns by factor * reading + offset."""
 
     name: str
     wrong_content: str
-    """Content of the columns with the error, as text such as "metres"."""
+    """Text for the content of the columns with the error, such as "metres"."""
     right_content: str
-    """Content of the columns without the error, as text such as "millimetres"."""
+    """Text for the content of the columns without the error, such as "millimetres"."""
     column_factors_and_offsets: tuple[tuple[int, float, float], ...]
-    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading, which becomes factor
-    * correct reading + offset."""
+    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each conversion; the wrong reading is
+    factor * correct reading + offset."""
 
     @property
     def changed_columns(self) -> tuple[int, ...]:
@@ -39,26 +39,27 @@ class ColumnConversion:
 
     @property
     def description(self) -> str:
-        """Text for the error, such as "metres for millimetres"."""
+        """Text that names the error, such as "metres for millimetres"."""
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:
-        """Readings (n, 3) [m, rad, rad] of n pointings with the error, from readings without it."""
+        """Readings (n, 3) [m, rad, rad] with the error, computed from correct `readings` (n, 3) of n pointings."""
         changed_readings = readings.copy()
         for column, factor, offset in self.column_factors_and_offsets:
             changed_readings[:, column] = factor * readings[:, column] + offset
         return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
-        """Readings (n, 3) [m, rad, rad] of n pointings without the error, from readings with it."""
+        """Readings (n, 3) [m, rad, rad] without the error, computed from wrong `readings` (n, 3) of n pointings."""
         corrected = readings.copy()
         for column, factor, offset in self.column_factors_and_offsets:
             corrected[:, column] = (readings[:, column] - offset) / factor
         return corrected
 
 
-def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> ColumnConversion:
-    return ColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
+def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> WrongColumnConversion:
+    """Transcription error of distances in another unit of `unit_in_mm` [mm]."""
+    return WrongColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
@@ -70,66 +71,72 @@ UNIT_AND_CONVENTION_ERRORS = (
     _length_unit_error("micrometre", "micrometres", 1e-3),
     _length_unit_error("centimetre", "centimetres", 10.0),
     _length_unit_error("foot", "feet", 304.8),
-    ColumnConversion("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
-    ColumnConversion("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
-    ColumnConversion("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
-    ColumnConversion("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
-    ColumnConversion("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
-    ColumnConversion(
+    WrongColumnConversion("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
+    WrongColumnConversion("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
+    WrongColumnConversion("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
+    WrongColumnConversion("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
+    WrongColumnConversion("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
+    WrongColumnConversion(
         "zenith-gon",
         "zenith angles in gon",
         "elevations in degrees",
         ((1, GON_PER_DEGREE, 0.0), (2, -GON_PER_DEGREE, GON_PER_DEGREE * QUARTER_TURN)),
     ),
-    ColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
+    WrongColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
-"""Transcription errors of a unit, the kind of vertical angle, or the sense of the azimuth."""
+"""Transcription errors of a unit, of the kind of vertical angle, and of the sense of the azimuth."""
 
-FACE_ERRORS = (
-    ColumnConversion("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
-    ColumnConversion("face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)),
+WRONG_FACE_ERRORS = (
+    WrongColumnConversion("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
+    WrongColumnConversion(
+        "face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)
+    ),
 )
-"""Transcription errors of one angle that was read on the other face."""
+"""Transcription errors of an angle that belongs to the other face."""
 
-MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
-"""Largest angle [rad] up to which a column may be in radians: a full circle, with a margin for rounding."""
+MAX_ANGLE_READ_AS_RADIANS = 2 * np.pi + 0.01
+"""Largest angle [rad] in a column that may contain radians: a full circle plus 0.01 for rounding."""
 MIN_LONGEST_DISTANCE_MM = 200.0
-"""Number below which the longest distance of a recording shows that its distances are in metres, not millimetres."""
-MAX_COMPARED_PAIRS = 400
-"""Largest number of pairs of stations, and of lengths between targets, that are compared."""
+"""Number below which the longest distance of a recording is in metres, because recordings have distances of more than
+200 mm."""
+MAX_COMPARED_LENGTH_PAIRS = 400
+"""Largest number of pairs of stations, and of pairs of targets, whose lengths are compared."""
 MAX_COMPARED_TARGETS = 60
-"""Largest number of common targets of two stations between which lengths are compared."""
+"""Largest number of common targets of two stations that are used to compare lengths."""
 MIN_WRONG_LENGTH_DISAGREEMENT = 2e-3
-"""Median relative difference, between stations, of the lengths between their common targets, above which the reader
-tests whether a transcription error explains it."""
+"""Median relative difference between the lengths that two stations measure between common targets, above which a reader
+searches for a transcription error."""
 MAX_RIGHT_LENGTH_DISAGREEMENT = 2e-4
-"""Median relative difference, between stations, of the lengths between their common targets, below which they count as
-equal, so that the correction of a transcription error explains the file."""
+"""Median relative difference between the lengths that two stations measure between common targets, below which the
+lengths agree. A transcription error is the cause if its correction gives such a difference."""
 
-MIN_MIRRORED_TARGETS = 5
-"""Smallest number of common targets with which two stations are tested as mirror images: four may lie in a plane."""
+MIN_TARGETS_FOR_MIRROR_TEST = 5
+"""Smallest number of common targets with which two stations are tested as mirror images; fewer may lie in one plane."""
 
 
 @dataclass(frozen=True)
-class StationCloud:
-    """Indices (k,) of the k targets of one station, ascending, and their mean positions (k, 3) in its frame."""
+class StationTargetPoints:
+    """Positions of the k targets that one station measured: target indices (k,), ascending, and mean positions (k, 3).
+
+    Positions are in the frame of the station.
+    """
 
     targets: Ints
     points: Floats
 
-    def common_points(self, other_cloud: StationCloud) -> tuple[Floats, Floats]:
-        """Positions (m, 3) of the m common targets in the frame of this station, and in that of the other station."""
+    def common_points(self, other_cloud: StationTargetPoints) -> tuple[Floats, Floats]:
+        """Positions (m, 3) of the m targets that both stations measured, first in this station's frame."""
         _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
         return self.points[rows], other_cloud.points[other_rows]
 
 
-def station_clouds(
+def target_points_by_station(
     points: Floats, station: Ints, target: Ints, max_stations: int | None = None
-) -> dict[int, StationCloud]:
-    """Mean positions of the targets of each station, by station index, from n single pointings.
+) -> dict[int, StationTargetPoints]:
+    """Mean positions of the targets of each station, by station index.
 
-    `points` (n, 3) are the measured positions in each station's frame; rows with NaN are ignored. `station` and
-    `target` (n,) are indices. The result has only the first `max_stations` stations with a position; by default all.
+    `points` (n, 3) are the positions measured in n pointings, in the frames of the stations; rows with NaN are ignored.
+    `station` and `target` (n,) are indices. The result has at most the first `max_stations` stations, by default all.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
     n_targets = int(target.max(initial=0)) + 1
@@ -140,13 +147,16 @@ def station_clouds(
     stations, first_rows = np.unique(keys // n_targets, return_index=True)
     bounds = [*first_rows.tolist(), len(keys)]
     return {
-        s: StationCloud(keys[start:end] % n_targets, mean_points[start:end])
+        s: StationTargetPoints(keys[start:end] % n_targets, mean_points[start:end])
         for s, (start, end) in zip(stations[:max_stations].tolist(), itertools.pairwise(bounds), strict=False)
     }
 
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
-    """Number (S, S) of targets that each pair of the S stations shares; `station`, `target` (n,) index n pointings."""
+    """Numbers (S, S) of targets that each pair of S stations measured both.
+
+    `station` and `target` (n,) are the indices of station and target in n pointings.
+    """
     pairs = np.unique(np.stack([target, station]), axis=1)
     counts = np.zeros((n_stations, n_stations), dtype=np.int64)
     for part in batches(int(target.max(initial=0)) + 1, n_stations):
@@ -158,27 +168,27 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs of station indices: each station (second) with the earlier one (first) with which it shares most targets.
+    """Pairs of station indices: for each station the earlier station with which it shares most targets, then itself.
 
-    Pairs with fewer than `MIN_MIRRORED_TARGETS` common targets are left out: these may lie in a plane, which is its own
-    mirror image.
+    Pairs with fewer than `MIN_TARGETS_FOR_MIRROR_TEST` common targets are omitted, because these may lie in a plane,
+    and the mirror image of a plane is equal to it.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
     best_neighbours = n_shared.argmax(axis=0).tolist()
-    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
+    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_TARGETS_FOR_MIRROR_TEST]
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     """Median relative difference between the lengths that two stations measure between their common targets.
 
-    The result is NaN if no two stations have two common targets. Lengths do not depend on poses: they test units and
-    the kind of vertical angle, but not the sense of the azimuth. `points` (n, 3) are n positions in each station's
-    frame.
+    `points` (n, 3) are the positions measured in n pointings, in the frames of the stations. The result is NaN if no
+    two stations have two common targets. Lengths do not depend on the poses of stations. They reveal wrong units and a
+    wrong kind of vertical angle, but not a wrong sense of the azimuth.
     """
-    clouds = station_clouds(points, station, target, MAX_COMPARED_PAIRS + 1).values()
+    clouds = target_points_by_station(points, station, target, MAX_COMPARED_LENGTH_PAIRS + 1).values()
     disagreements: list[float] = []
-    for cloud, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_PAIRS):
-        if len(disagreements) >= MAX_COMPARED_PAIRS:
+    for cloud, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_LENGTH_PAIRS):
+        if len(disagreements) >= MAX_COMPARED_LENGTH_PAIRS:
             break
         common_points = [p[:MAX_COMPARED_TARGETS] for p in cloud.common_points(other)]
         if len(common_points[0]) < 2:
@@ -190,11 +200,12 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
-    """Median, over targets, of the distance [m] between their positions from different stations.
+    """Median distance [m] between the positions of a target measured from different stations.
 
-    `points` (n, 3) are n positions in a common frame. The result is NaN if no target was measured from two stations.
+    `points` (n, 3) are the positions measured in n pointings, in a common frame. The result is NaN if no target was
+    measured from two stations.
     """
-    clouds = station_clouds(points, station, target).values()
+    clouds = target_points_by_station(points, station, target).values()
     if not clouds:
         return float("nan")
     targets = np.concatenate([cloud.targets for cloud in clouds])
@@ -206,8 +217,8 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     return float(np.median(distances)) + 1e-9 if len(distances) else float("nan")
 
 
-def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sum (k,) of the mean vertical angles on face 1 and face 2, for each of k station-target pairs on both faces."""
+def _two_face_vertical_angle_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
+    """Sums (k,) of the vertical angles in face 1 and face 2, for k pairs of station and target."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):
@@ -224,20 +235,20 @@ def require_degrees_and_millimetres(
 ) -> None:
     """Check that the columns (n, 3) of n rows contain distances [mm], azimuths and elevations [deg].
 
-    Raises RecordError that names the unit, or the kind of angle, that a column appears to contain.
+    Raises RecordError, which names the unit or the kind of angle that a column appears to contain.
     """
     elevation = measured_columns[:, 2]
     longest = float(np.nanmax(measured_columns[:, 0], initial=-np.inf))
     if -np.inf < longest < MIN_LONGEST_DISTANCE_MM:
-        message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
+        message = f"the longest distance is {longest:.4g}, so distances appear to be in metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
-    face_sums = _two_face_sums(elevation, station, target, face)
+    face_sums = _two_face_vertical_angle_sums(elevation, station, target, face)
     median = float(np.median(face_sums)) if len(face_sums) else float("nan")
     for unit_error in UNIT_AND_CONVENTION_ERRORS:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
-                f"the elevations of a target on both faces add up to {median:.4g}, which looks like "
+                f"the elevations of a target in both faces add up to {median:.4g}, as they do for "
                 f"{unit_error.wrong_content}; expected elevations in degrees, which add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
@@ -246,16 +257,16 @@ def require_degrees_and_millimetres(
     readings = measured_columns * [MILLIMETRE, DEGREE, DEGREE]
     if (error := error_from_lengths(readings, station, target)) is not None:
         message = (
-            "two stations disagree on the lengths between their targets, and agree if the column holds "
+            "two stations measure different lengths between their targets; the lengths agree if the column contains "
             f"{error.wrong_content}; expected {error.right_content}"
         )
         raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.changed_columns[0] - 1]).error(message)
 
 
-def _face_sum_with_error(error: ColumnConversion) -> float | None:
-    """Sum of the vertical angles on both faces that a file with a transcription error contains, in the wrong unit.
+def _face_sum_with_error(error: WrongColumnConversion) -> float | None:
+    """Sum of the vertical angles in both faces that a file with this error contains, in the wrong unit.
 
-    None if the error leaves vertical angles unchanged.
+    The result is None if the error does not change vertical angles.
     """
     for column, factor, offset in error.column_factors_and_offsets:
         if column == 2:
@@ -264,11 +275,11 @@ def _face_sum_with_error(error: ColumnConversion) -> float | None:
     return None
 
 
-def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnConversion | None:
-    """Transcription error of all angles whose correction makes the lengths between targets equal from all stations.
+def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> WrongColumnConversion | None:
+    """Transcription error of angles whose correction makes the lengths between targets equal from all stations.
 
-    `readings` (n, 3) [m, rad, rad] of n pointings are uncorrected. None if there is no such error, or the lengths are
-    already equal. Lengths do not reveal a mirrored network.
+    `readings` (n, 3) [m, rad, rad] are those of n pointings, not corrected. The result is None if there is no such
+    error, or if the lengths already agree. Lengths cannot reveal a wrong sense of the azimuth.
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_LENGTH_DISAGREEMENT:
         return None
@@ -281,8 +292,9 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnC
 
 
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:
+    """Check that the columns of angles do not contain radians; raises RecordError."""
     angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
-    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
+    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_ANGLE_READ_AS_RADIANS:
         return
     has_wide_range = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured_columns * [MILLIMETRE, 1.0, 1.0]
@@ -290,18 +302,19 @@ def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, 
     as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
     if any(has_wide_range) and not as_degrees <= as_radians:
         values = angles[has_wide_range.index(True)]
-        sentence = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
+        sentence = f"all angles lie between {values.min():.4g} and {values.max():.4g} and appear to be radians"
         column = "azimuth_deg" if has_wide_range[0] else "elevation_deg"
         raise SourceLocation(file, column=column).error(f"{sentence}; expected degrees")
 
 
 def _require_consistent_faces(elevation: Floats, face: Ints, file: object) -> None:
+    """Check that the elevations of face 2 are raw encoder readings, not reduced to face 1; raises RecordError."""
     is_face_2: Bools = (face == 2) & np.isfinite(elevation)
     is_reduced = is_face_2 & (np.abs(elevation) < 90)
     if np.count_nonzero(is_reduced) > 2 and np.all(is_reduced == is_face_2):
         row = int(np.flatnonzero(is_reduced)[0])
         message = (
-            f"face 2 contains {elevation[row]:.6g}: its elevations are reduced to face 1; "
+            f"face 2 contains {elevation[row]:.6g}, so its elevations appear to be reduced to face 1; "
             f"expected raw encoder readings, here near {180 - elevation[row]:.6g}"
         )
         raise SourceLocation(file, row + 1, "elevation_deg").error(message)

@@ -1,4 +1,4 @@
-"""Parser for XML from unknown sources: no entities, no external references, bounded size and depth."""
+"""Safe parser of XML files: no entities, no external references, limited size and depth."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from ltsim.core.limits import (
 from ltsim.recordings.files import SourceLocation, read_bytes, safe_excerpt
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
-"""Pattern of a tag with more than 4096 characters; a shorter one cannot contain too many attributes."""
-MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
-"""Error message on a matrix of GNU Gama with too many or too few numbers."""
-LINE_ATTRIBUTE = "{ltsim}line"
-"""Attribute that the parser adds to each element: the number of its line. A value in the file is overwritten."""
+"""Pattern of tags with more than 4096 characters; shorter tags cannot exceed the limit of attributes."""
+BAND_MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
+"""Error message for a matrix of GNU Gama with too many or too few values."""
+LINE_NUMBER_ATTRIBUTE = "{ltsim}line"
+"""Attribute in which the parser stores the line number of an element; it replaces one in the file."""
 
 
 class _LineNumberBuilder(TreeBuilder):
-    """Tree builder that adds a line number to each element, and raises RecordError for too deeply nested elements."""
+    """Tree builder that adds the line number to each element, and limits the depth; raises RecordError."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class _LineNumberBuilder(TreeBuilder):
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
         self._depth.start(tag, attrs)
-        return super().start(tag, {**attrs, LINE_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
+        return super().start(tag, {**attrs, LINE_NUMBER_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
 
     def end(self, tag: Any, /) -> Element:
         self._depth.end(tag)
@@ -52,7 +52,7 @@ class _LineNumberBuilder(TreeBuilder):
 
 
 class _DepthCheck:
-    """Parser target that builds no tree and raises RecordError if elements are nested deeper than `MAX_XML_DEPTH`."""
+    """Parser target that builds no tree, and raises RecordError for elements nested deeper than `MAX_XML_DEPTH`."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._depth = file, 0
@@ -66,13 +66,13 @@ class _DepthCheck:
         self._depth -= 1
 
     def close(self) -> None:
-        """End of the file, called by the parser; there is nothing to return, because no tree is built."""
+        """End of the file, called by the parser; no tree was built, so nothing is returned."""
 
 
 class _WorkbookCheck(_DepthCheck):
-    """Parser target that also limits the number of elements, and of cells in a row of a workbook.
+    """Parser target that limits the numbers of elements, and of cells in a row, of a workbook; raises RecordError.
 
-    The library that reads workbooks keeps all of them in memory.
+    The library that reads workbooks would hold all of them in memory.
     """
 
     def __init__(self, file: Path) -> None:
@@ -90,9 +90,9 @@ class _WorkbookCheck(_DepthCheck):
 
 
 def check_tag_attributes(content: bytes, file: Path) -> None:
-    """Check that no tag of an XML text has more attributes than permitted; raises RecordError.
+    """Check that no tag of an XML text has more than the permitted number of attributes; raises RecordError.
 
-    An attribute cannot contain `<`, so that all attributes of a tag are before the next `<`.
+    An attribute cannot contain `<`. Therefore all attributes of a tag are before the next `<`.
     """
     if any(match[0].count(b"=") > MAX_TAG_ATTRIBUTES for match in _LONG_TAG_PATTERN.finditer(content)):
         raise RecordError(
@@ -101,7 +101,7 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
 
 
 def check_workbook_xml(content: bytes, file: Path) -> None:
-    """Check of an XML part of a workbook before a library parses it: entities, elements, depth, attributes, encoding.
+    """Check of an XML part of a workbook (entities, encoding, numbers of elements, depth) before a library parses it.
 
     Raises RecordError, or ParseError if the text is not well formed.
     """
@@ -116,7 +116,8 @@ def check_workbook_xml(content: bytes, file: Path) -> None:
 def parse_xml(path: Path) -> XmlNode:
     """Root element of an XML file.
 
-    Raises RecordError if the file is not well formed (incomplete, badly encoded), or declares entities.
+    Raises RecordError if the file is not well formed (for example incomplete), has an unknown encoding or declares
+    entities.
     """
     content = read_bytes(path)
     if content.count(b"<") > MAX_XML_TAGS or content.count(b"=") > MAX_XML_ATTRIBUTES:
@@ -142,7 +143,7 @@ def parse_xml(path: Path) -> XmlNode:
 
 @dataclass(frozen=True)
 class XmlNode:
-    """Element of an XML file; errors about its content name its line."""
+    """Element of an XML file; errors about its content name the line."""
 
     element: Element
     file: Path
@@ -151,7 +152,7 @@ class XmlNode:
         return (XmlNode(inner, self.file) for inner in self.element)
 
     def descendants(self, *tags: str) -> Iterator[XmlNode]:
-        """Elements with one of these names, among this element and all elements below it, in the order of the file."""
+        """Elements with one of the names `tags`: this element and all below it, in the order of the file."""
         nodes = (XmlNode(inner, self.file) for inner in self.element.iter())
         return (node for node in nodes if node.tag in tags)
 
@@ -162,8 +163,8 @@ class XmlNode:
 
     @property
     def line(self) -> int:
-        """Line of the file where the element begins."""
-        return int(self.element.get(LINE_ATTRIBUTE, "0"))
+        """Line number in the file where the element begins."""
+        return int(self.element.get(LINE_NUMBER_ATTRIBUTE, "0"))
 
     @property
     def location(self) -> SourceLocation:
@@ -172,11 +173,11 @@ class XmlNode:
 
     @property
     def text(self) -> str:
-        """Text of the element in one line."""
+        """Text of the element on one line."""
         return " ".join((self.element.text or "").split())
 
-    def get(self, name: str, default: str = "") -> str:
-        """Value of an attribute without surrounding blanks; the default if the attribute is missing."""
+    def attribute(self, name: str, default: str = "") -> str:
+        """Value of an attribute without surrounding blanks; `default` if the attribute is missing."""
         return self.element.get(name, default).strip()
 
     def __contains__(self, name: str) -> bool:
@@ -186,29 +187,32 @@ class XmlNode:
         """Value of a required attribute; raises RecordError if the attribute is missing."""
         if name not in self:
             raise self.location.error(f"<{safe_excerpt(self.tag)}> lacks the attribute {name}")
-        return self.get(name)
+        return self.attribute(name)
 
-    def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
-        """Attribute as a number of at most `limit` in magnitude; `default` if the attribute is missing.
+    def read_number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
+        """Value of an attribute as a number of at most `limit` in magnitude; `default` if the attribute is missing.
 
-        Raises RecordError for other content, and for a missing attribute without default.
+        Raises RecordError for other content, and for a missing attribute if `default` is None.
         """
         if default is not None and name not in self:
             return default
-        return self.location.number(self.required_attribute(name), f"<{safe_excerpt(self.tag)}> {name}", limit=limit)
+        return self.location.parse_number(
+            self.required_attribute(name), f"<{safe_excerpt(self.tag)}> {name}", limit=limit
+        )
 
-    def name(self, name: str, kind: str) -> str:
-        """Value of a required attribute as the name of a station, target or point (`kind`); raises RecordError."""
-        return self.location.name(self.required_attribute(name), kind)
+    def read_name(self, name: str, kind: str) -> str:
+        """Value of a required attribute, checked as name of a station, target or point (`kind`); raises RecordError."""
+        return self.location.checked_name(self.required_attribute(name), kind)
 
 
 def band_matrix_value_count(node: XmlNode, n_rows: float, band: float) -> int:
-    """Number of values in a symmetric band matrix of GNU Gama: diagonal and `band` diagonals above it, `n_rows` rows.
+    """Number of values in the upper band of a symmetric matrix of GNU Gama: diagonal and `band` further diagonals.
 
-    Raises RecordError, which names `node`, if a size is not possible or the number of values exceeds the limit.
+    The matrix has `n_rows` rows. Raises RecordError, which names `node`, if a size is impossible or the number exceeds
+    the limit.
     """
     if not 0 <= band < n_rows or n_rows % 1:
-        raise node.location.error(MATRIX_SIZE_MESSAGE)
+        raise node.location.error(BAND_MATRIX_SIZE_MESSAGE)
     rows, width = int(n_rows), int(band)
     size = rows * (width + 1) - width * (width + 1) // 2
     if size > MAX_COVARIANCE_VALUES:
@@ -222,11 +226,11 @@ def band_matrix_entries(
 ) -> tuple[Ints, Ints, Floats]:
     """Row index (k,), column index (k,) and value (k,) of the k values in the upper band of a symmetric matrix.
 
-    `band_values` are row by row: the diagonal and the `band` next values, as in files of GNU Gama. Raises RecordError,
-    which names `node`, if their number does not match.
+    `band_values` are in the order of GNU Gama: row by row, the diagonal entry and the next `band` entries. Raises
+    RecordError, which names `node`, if their number is wrong.
     """
     if len(band_values) != band_matrix_value_count(node, n_rows, band):
-        raise node.location.error(MATRIX_SIZE_MESSAGE)
+        raise node.location.error(BAND_MATRIX_SIZE_MESSAGE)
     row_indices = np.arange(int(n_rows))
     last_columns = np.minimum(row_indices + int(band), int(n_rows) - 1)
     counts = last_columns - row_indices + 1

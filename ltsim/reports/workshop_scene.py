@@ -21,7 +21,7 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
-from ltsim.scene.cad import implausible_size_question, read_mesh
+from ltsim.scene.cad import implausible_size_question, read_cad_file
 from ltsim.scene.visibility import InvisibilityReason, Visibility, default_shadow_cone_opening, shadow_cone_radii
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
@@ -310,7 +310,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_visible_sights(layout, visibility),
         obstacle_triangles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.OBSTACLE),
+        blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.HIDDEN_BY_OBSTACLE),
         notes=notes,
     )
 
@@ -325,7 +325,7 @@ def workshop_with_cad(
     InputError
         When the file cannot be read, or its size is implausible.
     """
-    cad = read_mesh(file, unit, vertical_axis)
+    cad = read_cad_file(file, unit, vertical_axis)
     if asked := implausible_size_question(cad, np.ptp(workshop.floor_corners, axis=0)):
         raise InputError(asked)
     return replace(workshop, obstacle_triangles=np.concatenate([workshop.obstacle_triangles, cad.triangles]))

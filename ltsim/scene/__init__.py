@@ -1,1 +1,1 @@
-"""Geometry of the hall: floor, obstacles, lines of sight, and visibility between instruments and targets."""
+"""Geometry of the hall: floor, obstacles, lines of sight, and visibility of targets from instruments."""

@@ -1,8 +1,9 @@
-"""Reader of CAD files: triangles in metres with z up, by the convention of each format.
+"""Reader of CAD files: triangles in metres with z up.
 
-glTF defines metres and y up. STEP and IGES files declare their unit. STL, OBJ and PLY declare nothing and are read in
-millimetres with z up. The assumed unit and vertical axis are reported. If a body has an implausible size or position,
-an error asks the user to declare unit and vertical axis.
+Unit and vertical axis follow from the format, unless the user declares them. glTF defines metres and y up. STEP and
+IGES files declare their unit. STL, OBJ and PLY declare nothing and are read in millimetres with z up. The assumed unit
+and vertical axis are reported. If the size or position of a body is implausible, an error asks the user to declare
+both.
 """
 
 import re
@@ -23,61 +24,58 @@ from ltsim.scene.cad_process import EXACT_SURFACE_SUFFIXES, FACET_SUFFIXES, read
 GLTF_SUFFIXES = (".glb", ".gltf")
 """Suffixes of glTF files."""
 CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SURFACE_SUFFIXES)
-"""Suffixes of all CAD files that are read."""
+"""Suffixes of all CAD files that can be read."""
 UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
 """Full names of the units of CAD files, for messages."""
 MAX_COORDINATE_SPACING_MM = 1.0
-"""Spacing [mm] between neighbouring single-precision numbers at the position of a body, above which a CAD file is
-refused because its coordinates are too coarse. Halls are planned to the millimetre, and lines of sight pass bodies at a
-few centimetres.
-"""
+"""Spacing [mm] of single-precision numbers at the position of a body, above which a CAD file is refused as too coarse.
+Halls are planned to the millimetre, and lines of sight pass bodies at a few centimetres."""
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
-"""Suffixes of files whose coordinates may be in single precision."""
+"""Suffixes of files whose coordinates may be single-precision numbers."""
 MIN_BODY_TO_HALL_LENGTH_RATIO = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Length of a body divided by the length of the hall, below which the unit of a CAD file is questioned: 1 / 25.4. A
-body as long as the hall has this ratio if a file in inches is read in millimetres."""
+"""Length of a body divided by the length of the hall, below which an error asks for the unit of the CAD file. It is 1 /
+25.4: the ratio of a body as long as the hall if a file in inches is read in millimetres."""
 MAX_BODY_OVERHANG = 0.05
-"""Largest distance [m] by which a body may extend beyond the hall or below its floor."""
+"""Largest distance [m] by which a body may extend beyond the walls of the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
-"""Grid points per metre to which corners of triangles are rounded: a grid of 10 um. Single precision, as in STL and
-glTF, has no finer resolution over 40 m.
-"""
+"""Number of grid points per metre to which corners of triangles are rounded (a grid of 10 um). The single precision of
+STL and glTF has no finer resolution over 40 m."""
 TRIANGLES_PER_BATCH = 1 << 16
-"""Number of triangles whose corners are rounded to the grid at a time, to limit the memory for intermediate results."""
+"""Number of triangles whose corners are rounded at a time, to limit the memory."""
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
+"""Rotation matrix from axes with y up to axes with z up: x stays, y becomes z, z becomes -y."""
 
 
 @dataclass(frozen=True)
 class CadFile:
-    """Contents of a CAD file, with the unit and vertical axis used to read it."""
+    """Triangles of a CAD file, with the unit and the vertical axis with which the file was read."""
 
     path: Path
     """Path of the CAD file."""
     triangles: Floats
-    """Corners of the m triangles of the body, (m, 3, 3) [m], z up."""
+    """Corners (m, 3, 3) [m] of the m triangles of the body, z up."""
     unit: str
-    """Unit in which coordinates were read, `mm`, `m` or `in`; empty for a format that declares its unit."""
+    """Unit of the coordinates in the file: `mm`, `m` or `in`; empty for a format that declares its unit."""
     vertical_axis: str
-    """Vertical axis of the coordinates in the file, `y` or `z`."""
+    """Vertical axis of the coordinates in the file: `y` or `z`."""
     has_declared_unit: bool
-    """True if the format of the file or the user declares the unit; False if the unit is assumed."""
+    """True if the format or the user declares the unit; False if it is assumed."""
 
     @property
     def interpretation_text(self) -> str:
-        """Description for users of the unit and the vertical axis with which the file was read."""
+        """Text for users on the unit and vertical axis with which the file was read."""
         kind = self.path.suffix[1:].upper()
         unit = f"coordinates read as {UNIT_NAMES[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.vertical_axis} up"
 
     @property
     def triangles_with_other_vertical_axis(self) -> Floats:
-        """The m triangles (m, 3, 3) [m] of the file, read with z in place of y as vertical axis, or the reverse."""
+        """Corners (m, 3, 3) [m] of the m triangles for the other vertical axis: z in place of y, or y in place of z."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
-def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
-    """Contents of a CAD file, converted to metres with z up.
+def read_cad_file(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
+    """CAD file converted to metres with z up.
 
     `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of the format. Raises InputError for
     a file that cannot be read.
@@ -86,7 +84,7 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
     if suffix not in CAD_SUFFIXES:
         raise InputError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
     if suffix in EXACT_SURFACE_SUFFIXES and unit is not None:
-        raise InputError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
+        raise InputError(f"{path}: {suffix[1:].upper()} files declare their unit; remove unit")
     file_axis = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
     file_unit = "" if suffix in EXACT_SURFACE_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
@@ -101,9 +99,9 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
 
 @lru_cache(maxsize=8)
 def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
-    """The m triangles (m, 3, 3) [m], z up, of a CAD file of any format whose length unit is `metres_per_unit` [m].
+    """Corners (m, 3, 3) [m] of the m triangles, z up, of a CAD file whose unit has `metres_per_unit` [m].
 
-    `_modification_time` is part of the cache key only, so that a changed file is read again.
+    `_modification_time` only makes the cache read a changed file again.
     """
     triangles = _triangles_in_file_units(path, metres_per_unit)
     if triangles.shape[1:] != (3, 3):
@@ -127,10 +125,10 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
 
 
 def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
-    """Integer grid coordinates (k, 9) of the corners of the k non-degenerate triangles among m triangles (m, 3, 3) [m].
+    """Integer grid coordinates (k, 9) of the corners of the k triangles with three distinct corners on the grid.
 
-    A triangle is degenerate if two of its rounded corners coincide. Each triangle starts with its lexicographically
-    first corner, so that equal triangles have equal rows.
+    `triangles` (m, 3, 3) [m] are m triangles, some possibly degenerate. The corners of each result begin with the
+    lexicographically first one, so that equal triangles have equal rows.
     """
     corners = np.round(
         GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if vertical_axis == "y" else triangles)
@@ -142,9 +140,9 @@ def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
 
 
 def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
-    """The m triangles (m, 3, 3) in the axes and unit of a CAD file, or in metres for a format with exact surfaces.
+    """Corners (m, 3, 3) of the m triangles in the axes and unit of a CAD file; in metres for exact surfaces.
 
-    `metres_per_unit` is the length [m] of the file's unit. Raises InputError for a file that cannot be read.
+    `metres_per_unit` is the length [m] of the unit. Raises InputError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix in EXACT_SURFACE_SUFFIXES and not is_installed("cascadio"):
@@ -164,9 +162,10 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
 
 
 def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
-    """Check that single precision resolves the coordinates of m triangles (m, 3, 3) to `MAX_COORDINATE_SPACING_MM`.
+    """Check that single-precision coordinates of m triangles (m, 3, 3) have a spacing of at most 1 mm.
 
-    The unit of the coordinates is `metres_per_unit` [m]. Raises InputError if the resolution is coarser.
+    `metres_per_unit` [m] is the unit of the coordinates. Raises InputError for a larger spacing
+    (`MAX_COORDINATE_SPACING_MM`).
     """
     single_precision = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
@@ -180,7 +179,7 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
 
 
 def extent_text(triangles: Floats) -> str:
-    """Size of m triangles (m, 3, 3) [m] along x, y, z and the limits of their coordinates, as text for users."""
+    """Text for users with the size along x, y, z and the limits of the coordinates of m triangles (m, 3, 3) [m]."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     extents = " x ".join(f"{v:.3g}" for v in high - low)
     return (
@@ -189,9 +188,9 @@ def extent_text(triangles: Floats) -> str:
 
 
 def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
-    """Message that asks for the unit of a CAD file whose body has an implausible size for a hall of size (3,) [m].
+    """Message that asks for the unit of a CAD file whose body is implausibly large or small for the hall.
 
-    The message is empty for a plausible size or a declared unit.
+    `hall_size` (3,) [m] is the size of the hall. The message is empty for a plausible size or a declared unit.
     """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
@@ -214,9 +213,9 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
 
 
 def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
-    """True if m triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
+    """True if m triangles (m, 3, 3) [m] are inside a hall of size (3,) [m] with a corner at the origin.
 
-    They may extend beyond the hall by `MAX_BODY_OVERHANG`.
+    They may extend beyond it by `MAX_BODY_OVERHANG`.
     """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     return bool(np.all(low >= -MAX_BODY_OVERHANG) and np.all(high <= hall_size + MAX_BODY_OVERHANG))

@@ -1,7 +1,7 @@
-"""Reading of CAD files in a separate process with bounded memory and time.
+"""Reading of CAD files in a separate process with limits of memory and time.
 
-A small file may expand to a very large number of triangles (repeated bodies, polygons with many corners, exact
-surfaces), and a damaged file may crash the libraries. The process returns only the triangles.
+A small file may contain a very large number of triangles (repeated bodies, polygons with many corners, exact surfaces).
+A damaged file may crash the libraries. The process returns only the triangles.
 """
 
 import os
@@ -32,25 +32,25 @@ from ltsim.recordings.files import safe_excerpt
 EXACT_SURFACE_SUFFIXES = (".step", ".stp", ".iges", ".igs")
 """Suffixes of CAD files with exact surfaces."""
 FACET_SUFFIXES = (".stl", ".obj", ".ply")
-"""Suffixes of CAD files with triangles or polygons."""
+"""Suffixes of CAD files with triangles or plane polygons."""
 MAX_TESSELLATION_DEVIATION_MM = 1.0
-"""Largest distance [mm] of a triangle from the exact surface when a curved surface is converted to triangles. A smaller
-distance would not change which lines of sight are free."""
+"""Largest distance [mm] of triangles from the curved surface that they represent. A smaller distance would not change
+which lines of sight are free."""
 _CHILD_PROCESS_CODE = "from ltsim.scene.cad_process import run_reader_process; run_reader_process()"
-"""Python code that the separate process runs."""
+"""Python code of the separate process."""
 _LIBRARY_ERROR_EXIT_STATUS = 3
-"""Exit status of the separate process if a library raised an error; the name of the error is on standard error."""
+"""Exit status of the separate process if a library raised an error, whose name is then on standard error."""
 
 
 def read_triangles(path: Path) -> Floats:
-    """The m triangles (m, 3, 3) of a CAD file in its axes and unit, or in metres for a format with exact surfaces.
+    """Corners (m, 3, 3) of the m triangles in the axes and unit of a CAD file; in metres for exact surfaces.
 
-    Raises InputError for a damaged file, for one with too many triangles, and for one without triangles.
+    Raises InputError for a damaged file, for too many triangles, and for a file without triangles.
     """
     content = read_whole_file(path)
     suffix = path.suffix.lower()
     if suffix == ".stl":
-        _require_few_triangles(path, max_stl_facets(content))
+        _require_few_triangles(path, max_stl_triangle_count(content))
     if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= MAX_IN_PROCESS_CAD_BYTES):
         try:
             triangles = parse_triangles(content, suffix)
@@ -64,8 +64,8 @@ def read_triangles(path: Path) -> Floats:
     return triangles
 
 
-def max_stl_facets(file_content: bytes) -> int:
-    """Upper bound of the number of triangles of an STL file: from its length (binary) or from its keywords (text)."""
+def max_stl_triangle_count(file_content: bytes) -> int:
+    """Upper limit of the number of triangles in an STL file, from its length (binary) or its keywords (text)."""
     n_facets = (len(file_content) - 84) // 50
     if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == n_facets:
         return n_facets
@@ -73,6 +73,7 @@ def max_stl_facets(file_content: bytes) -> int:
 
 
 def _require_few_triangles(path: Path, n_triangles: int) -> None:
+    """Check of the number of triangles against `MAX_OBSTACLE_TRIANGLES`; raises InputError."""
     if n_triangles > MAX_OBSTACLE_TRIANGLES:
         raise InputError(
             f"{path}: has {n_triangles} triangles, but at most {MAX_OBSTACLE_TRIANGLES} are read; "
@@ -81,11 +82,12 @@ def _require_few_triangles(path: Path, n_triangles: int) -> None:
 
 
 def _incomplete_file_error(path: Path, reason: str) -> InputError:
+    """InputError for an incomplete file."""
     return InputError(f"{path}: is not a complete {path.suffix[1:]} file ({safe_excerpt(reason)}); export it again")
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:
-    """The m triangles (m, 3, 3) of a CAD file of `file_size` [bytes], read in a separate process.
+    """Corners (m, 3, 3) of the m triangles of a CAD file of `file_size` [bytes], read in a separate process.
 
     Raises InputError if the process refuses the file, crashes, or exceeds its limits of memory and time.
     """
@@ -110,9 +112,10 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
 
 
 def run_reader_process() -> None:
-    """Main function of the separate process: it writes the triangles of a file to standard output.
+    """Main function of the separate process: reads a CAD file and writes its triangles to standard output.
 
-    The command-line arguments are the path of the file, the limit of memory [bytes] and that of processor time [s].
+    The command-line arguments are the path of the file, the limit of memory [bytes] and the limit of processor time
+    [s].
     """
     path, memory_bytes, processor_seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_process_resources(memory_bytes, processor_seconds)
@@ -128,9 +131,10 @@ def run_reader_process() -> None:
 
 
 def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
-    """Limitation of the memory and processor time of this process, on operating systems that support limits.
+    """Limitation of the memory and processor time of this process, if the operating system supports limits.
 
-    `memory_bytes` [bytes] is the memory allowed in addition to that of the imported libraries.
+    `memory_bytes` [bytes] is permitted in addition to the memory of the imported libraries. `processor_seconds` is in
+    seconds.
     """
     with suppress(ImportError, ValueError, OSError):
         import resource
@@ -145,9 +149,9 @@ def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
 
 
 def parse_triangles(file_content: bytes, suffix: str) -> Floats:
-    """The m triangles (m, 3, 3) from the bytes of a CAD file, whose suffix defines the format.
+    """Corners (m, 3, 3) of the m triangles in the bytes of a CAD file with this suffix.
 
-    The unit is that of the file, or the metre for a format with exact surfaces. Errors of the libraries are not caught.
+    The unit is that of the file, or the metre for exact surfaces. Errors of the libraries are not caught.
     """
     import trimesh  # takes 0.3 s to import and is rarely needed
 
@@ -171,7 +175,7 @@ def parse_triangles(file_content: bytes, suffix: str) -> Floats:
 
 @contextmanager
 def without_library_output() -> Iterator[None]:
-    """Context in which output of compiled libraries to standard output and standard error is discarded."""
+    """Context manager that discards the output of compiled libraries to standard output and standard error."""
     before = [os.dup(1), os.dup(2)]
     with tempfile.TemporaryFile() as nowhere:
         try:

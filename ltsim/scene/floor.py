@@ -1,4 +1,4 @@
-"""Areas of the floor where tripods may stand, as in the TOML table [floor] of a plan file.
+"""Areas of the floor where tripods may stand: TOML table `[floor]` of a plan file.
 
 Outlines are polygons seen from above.
 """
@@ -21,76 +21,76 @@ from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
 from ltsim.scene.meshes import Obstacles
 
 PlanPoint = tuple[Finite, Finite]
-"""Coordinates x and y [mm] of a position on the floor."""
+"""Coordinates x and y [mm] of a point on the floor."""
 PlanOutline = Annotated[tuple[PlanPoint, ...], Field(min_length=3, max_length=500)]
-"""Coordinates [mm] of the corners of a polygon on the floor, in order around it."""
+"""Corners [mm] of a polygon on the floor, in order around it."""
 HeightRange = tuple[Positive, Positive]
 """Lowest and highest height [mm] above the floor."""
 MIN_HEAD_ROOM = 0.3
-"""Free height [m] that is required above the centre of an instrument's head."""
+"""Smallest free height [m] above the centre of the tracker head."""
 N_DEFAULT_TRIPOD_POSITIONS = 250
-"""Number of grid positions for tripods on the floor if no grid spacing is given. The positions of stations are refined
+"""Approximate number of grid positions for tripods if no grid spacing is given. Positions of stations are refined
 without the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
-"""Distance [m] from an edge up to which a position counts as on the edge."""
+"""Distance [m] from the edge of an area up to which a position counts as on the edge."""
 
 
 class FloorArea(TomlSection):
-    """Floor area where tripods may stand."""
+    """Area of the floor where tripods may stand, table `[[floor.areas]]`."""
 
     name: str = ""
-    """Name of the area in figures and messages."""
+    """Name of the area, for figures and messages."""
     corners_mm: PlanOutline
-    """Coordinates x and y of the corners of the area, in order around it."""
+    """Coordinates x and y of the corners, in order around the area."""
     holes_mm: Annotated[tuple[PlanOutline, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
-    """Outlines of openings in the area, such as a pit."""
+    """Outlines of openings in the area, such as a pit, where no tripod may stand."""
     height_mm: HeightRange | None = None
-    """Lowest and highest height of the centre of the instrument's head in this area; default as for the whole floor."""
+    """Lowest and highest height of the centre of the tracker head in this area; default: values for the whole floor."""
     ceiling_mm: Positive | None = None
-    """Height of an overhead structure above this area, such as a gallery: the tracker heads stay 300 mm below it. An
-    obstacle is needed too if the structure hides targets."""
+    """Height of a structure above this area, such as a gallery; tracker heads stay 300 mm below it. If the structure
+    can hide targets, it must also be declared as an obstacle."""
 
 
 class FloorKeepOut(TomlSection):
-    """Area to be kept free of tripods, such as the path of a crane."""
+    """Area that must be kept free of tripods, such as the path of a crane; table `[[floor.keep_outs]]`."""
 
     name: str = ""
-    """Name of the area in figures."""
+    """Name of the area, for figures."""
     corners_mm: PlanOutline
-    """Coordinates x and y of the corners of the area, in order around it."""
+    """Coordinates x and y of the corners, in order around the area."""
     clear_mm: NonNegative = 0.0
-    """Distance around the area that must also be free of tripods."""
+    """Width of the strip around the area that must be free of tripods too."""
 
 
 class Door(TomlSection):
-    """Door with an area in front of it where no tripod may stand."""
+    """Door, in front of which an area must be kept free of tripods; table `[[floor.doors]]`."""
 
     name: str = ""
-    """Name of the door in figures."""
+    """Name of the door, for figures."""
     from_mm: PlanPoint
     """Coordinates x and y of one side of the opening."""
     to_mm: PlanPoint
     """Coordinates x and y of the other side of the opening."""
     clear_mm: NonNegative = 1500.0
-    """Distance to be kept free in front of the door."""
+    """Width of the area that must be free in front of the door."""
 
 
 class Floor(TomlSection):
-    """Floor on which tripods may stand; by default the whole hall except a margin along the walls."""
+    """Floor on which tripods may stand, table `[floor]`; by default the whole hall except a margin along its walls."""
 
     corners_mm: PlanOutline | None = None
-    """Coordinates x and y of the corners of the floor, in order around it; default the corners of the hall."""
+    """Coordinates x and y of the corners of the floor, in order around it; default: corners of the hall."""
     margin_mm: NonNegative = 600.0
-    """Distance to be kept from the walls if neither corners nor areas are given."""
+    """Distance of tripods from the walls if neither `corners_mm` nor areas are given."""
     height_mm: HeightRange | None = None
-    """Lowest and highest height of the centre of the instrument's head; default the range of the scenario's
+    """Lowest and highest height of the centre of the tracker head; default: range of the heights of the scenario's
     stations."""
     areas: Annotated[tuple[FloorArea, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
-    """TOML tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of these areas."""
+    """Areas where tripods may stand, tables `[[floor.areas]]`, in place of `corners_mm`."""
     keep_outs: Annotated[tuple[FloorKeepOut, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
-    """TOML tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
+    """Areas to be kept free of tripods, tables `[[floor.keep_outs]]`."""
     doors: Annotated[tuple[Door, ...], Field(max_length=MAX_FLOOR_PLAN_ELEMENTS)] = ()
-    """TOML tables `[[floor.doors]]`: doors in front of which no tripod may stand."""
+    """Doors with an area to be kept free of tripods, tables `[[floor.doors]]`."""
 
     @model_validator(mode="after")
     def _check_heights_and_outline(self) -> Floor:
@@ -105,11 +105,11 @@ class Floor(TomlSection):
 def areas_and_keep_outs(
     floor_spec: Floor, hall_size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
-    """Areas where tripods may stand, and keep-out areas, both in metres.
+    """Areas where tripods may stand, and areas to be kept free, both in metres.
 
-    `floor_spec` is the declared floor. `heights` are the lowest and highest height [m] of the instrument's head, for
-    areas whose heights neither the floor nor the area declares. Raises InputError for an outline that crosses itself or
-    leaves the hall, and for a ceiling that is too low for every height of the head.
+    `floor_spec` is the table `[floor]`. `heights` are the lowest and highest height [m] of the tracker head where
+    neither this table nor the area gives heights. Raises InputError for an outline that crosses itself or leaves the
+    hall, and for a ceiling below all heights of the tracker head.
     """
     mm = MILLIMETRE
     default_heights = (
@@ -143,9 +143,9 @@ def areas_and_keep_outs(
 
 
 def _floor_outline_within_margin(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
-    """Corners [mm] of the floor of the hall without the margin along the walls.
+    """Corners [mm] of the floor of the hall without the margin along its walls.
 
-    Raises InputError for a margin that leaves no floor.
+    Raises InputError if the margin leaves no floor.
     """
     (wide, deep, _), margin = hall_size_mm, floor_spec.margin_mm
     if 2 * margin >= min(wide, deep):
@@ -156,7 +156,7 @@ def _floor_outline_within_margin(floor_spec: Floor, hall_size_mm: tuple[float, f
 def _outline_in_metres(
     outline_key: str, corners_mm: tuple[PlanPoint, ...], hall_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
-    """The k corners (k, 2) [m] of an outline from its corners [mm]; `outline_key` is its key in the plan file.
+    """Corners (k, 2) [m] of an outline, from its k corners [mm]; `outline_key` is its key in the plan file.
 
     Raises InputError, with this key, if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
     """
@@ -178,17 +178,17 @@ def _outline_in_metres(
 
 @dataclass(frozen=True)
 class StandingArea:
-    """Area of the floor where tripods may stand."""
+    """Area of the floor where tripods may stand, in metres."""
 
     outline: Floats
-    """The k corners in order around the area, (k, 2) [m]."""
+    """Corners (k, 2) [m] of the area, in order around it."""
     head_height_range: tuple[float, float]
-    """Lowest and highest height [m] of the centre of the instrument's head in this area."""
+    """Lowest and highest height [m] of the centre of the tracker head in this area."""
     holes: tuple[Floats, ...] = ()
-    """Outlines of the openings in the area, each with its k corners, (k, 2) [m]."""
+    """Openings in the area, each as its k corners (k, 2) [m]."""
 
     def contains_instrument(self, position: Floats) -> Bools:
-        """Flags (N,) of N instrument positions (N, 3) [m] that lie over this area and within its limits of height."""
+        """Flags (N,) of the instrument positions among N (N, 3) [m] over this area and between its limits of height."""
         low, high = self.head_height_range
         return np.asarray(
             self.covers_positions(position[:, :2])
@@ -197,7 +197,7 @@ class StandingArea:
         )
 
     def covers_positions(self, positions: Floats) -> Bools:
-        """Flags (N,) of those of N positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
+        """Flags (N,) of those of N positions (N, 2) [m] on the floor that are in the area and outside its openings."""
         is_covered = is_inside_outline(self.outline, positions)
         for hole in self.holes:
             is_covered &= ~is_inside_outline(hole, positions)
@@ -206,20 +206,20 @@ class StandingArea:
 
 @dataclass(frozen=True)
 class KeepOutArea:
-    """Keep-out area for tripods: an outline seen from above, or a line segment, and a clearance around it."""
+    """Area to be kept free of tripods: an outline seen from above, or a line segment, with a clearance around it."""
 
     outline: Floats
-    """The k corners of the outline (k, 2), or ends of a line segment (2, 2) [m]."""
+    """Corners (k, 2) [m] of the outline, or ends (2, 2) [m] of a line segment."""
     clearance: float = 0.0
-    """Distance [m] to be kept free around the outline."""
+    """Width [m] of the strip around the outline that must be free too."""
 
     def contains_positions(self, positions: Floats) -> Bools:
-        """Flags (N,) of those of N positions (N, 2) [m] on the floor that lie in this keep-out area."""
+        """Flags (N,) of those of N positions (N, 2) [m] on the floor that are in the area or its clearance."""
         is_near = distance_to_outline(self.outline, positions) < self.clearance + EDGE_TOLERANCE
         return is_near | is_inside_outline(self.outline, positions) if len(self.outline) > 2 else is_near
 
     def is_crossed_by_path(self, path: Floats) -> bool:
-        """True if the straight path between two positions (2, 2) [m] crosses the outline or the segment.
+        """True if a straight path, given by its ends (2, 2) [m], crosses the outline or the segment.
 
         The clearance is not considered.
         """
@@ -228,20 +228,20 @@ class KeepOutArea:
 
 
 def distance_to_outline(outline: Floats, positions: Floats) -> Floats:
-    """Distance (N,) [m] from N positions (N, 2) to the edges of an outline of k corners (k, 2); a segment has 2."""
+    """Distance (N,) [m] of N positions (N, 2) from the edges of an outline with k corners (k, 2), or of a segment."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
     return np.asarray(shapely.distance(edges, shapely.points(positions)))
 
 
 def is_inside_outline(outline: Floats, positions: Floats) -> Bools:
-    """Flags (N,) of N positions (N, 2) [m] in an outline of k corners (k, 2) [m] or within `EDGE_TOLERANCE` of it."""
+    """Flags (N,) of N positions (N, 2) [m] inside an outline (k, 2) [m] or within `EDGE_TOLERANCE` of it."""
     return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(positions)) < EDGE_TOLERANCE)
 
 
 def invalid_outline_reason(outline: Floats) -> str:
-    """Reason why k corners (k, 2) [m] do not form a valid outline, as text.
+    """Reason, as text, why k corners (k, 2) [m] are not a valid outline; empty for a valid one.
 
-    The text is empty for an outline that does not cross itself and whose area is not zero.
+    A valid outline does not cross itself, and its area is not zero.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
@@ -257,8 +257,8 @@ def invalid_outline_reason(outline: Floats) -> str:
     return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
-def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
-    """Spacing [m] of the grid of positions for tripods: `requested_step_mm` [mm], or by default a suitable spacing.
+def tripod_grid_spacing(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
+    """Spacing [m] of the grid of tripod positions, from `requested_step_mm` [mm] or, if this is None, from the floor.
 
     By default about `N_DEFAULT_TRIPOD_POSITIONS` positions cover the areas, at least half a metre from each other.
     """
@@ -276,7 +276,7 @@ def is_allowed_position(
 ) -> Bools:
     """Flags (N,) of those of N instrument positions (N, 3) [m] under which a tripod may stand.
 
-    A permitted position is over a standing area, over no keep-out area and inside no obstacle.
+    Such a position is over a standing area, not over a keep-out area, and not inside an obstacle.
     """
     is_allowed = np.zeros(len(position), dtype=bool)
     for area in standing_areas:
@@ -288,15 +288,15 @@ def is_allowed_position(
     return is_allowed
 
 
-def refusal_reason(
+def tripod_refusal_reason(
     standing_areas: Sequence[StandingArea],
     keep_out_areas: Sequence[KeepOutArea],
     obstacles: Obstacles | None,
     position: Floats,
 ) -> str:
-    """Reason why no tripod may stand under an instrument position (3,) [m], as text for users.
+    """Reason, as text for users, why no tripod may stand under an instrument position (3,) [m]; empty if one may.
 
-    The text names the key of the plan file that forbids the position. It is empty if a tripod may stand there.
+    The text names the key of the plan file that forbids the position.
     """
     if is_allowed_position(standing_areas, keep_out_areas, obstacles, position[None])[0]:
         return ""
@@ -318,16 +318,16 @@ def refusal_reason(
 
 
 def height_range_text(lowest: float, highest: float) -> str:
-    """Text, in millimetres, of a range of heights [m]: `1400 to 1800 mm`, or `1500 mm` if both heights agree."""
+    """Text of a range of heights [m], in millimetres: `1400 to 1800 mm`, or `1500 mm` if both heights are equal."""
     low, high = f"{lowest / MILLIMETRE:g}", f"{highest / MILLIMETRE:g}"
     return f"{low} mm" if low == high else f"{low} to {high} mm"
 
 
 def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: int) -> Floats:
-    """Grid (N, 3) of N instrument positions over the bounding rectangle of an area, with spacing `grid_spacing` [m].
+    """Grid of N instrument positions (N, 3) [m] over the bounding rectangle of an area, with this spacing [m].
 
-    At each grid point there are `n_heights` positions from the lowest to the highest height of the area, or one
-    position if both heights agree.
+    At each grid point there are `n_heights` positions from the lowest to the highest height of the area; one position
+    if both heights are equal.
     """
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
     n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)

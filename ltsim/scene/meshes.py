@@ -1,8 +1,8 @@
-"""Obstacles as triangle meshes: blocked lines of sight, positions inside bodies, surfaces for nests.
+"""Obstacles as triangle meshes: blocked lines of sight, positions inside bodies, positions of nests on surfaces.
 
-The library Embree (the extra `cad`) casts rays in single precision. Rays that pass close to an edge, where its result
+The library Embree (extra `cad`) casts rays in single precision. Rays that pass close to an edge, for which its result
 may be wrong, are cast again in double precision by this module. Without Embree this module casts all rays, which is
-slow for large CAD files only: in a hall of boxes the rays of trimesh alone take 1.5 to 3.5 times as long.
+slow only for large CAD files. In a hall of boxes the rays of the library trimesh take 1.5 to 3.5 times as long.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,47 +19,46 @@ from ltsim.geometry.rigid import perpendicular_vectors, rotation_about_z
 from ltsim.scene.ray_caster import RayCaster
 
 RAY_BUNDLE_RADIUS = 1e-4
-"""Half-width [m] of a bundle of rays around a line of sight. If only some rays of the bundle are blocked, the line
-passes close to an edge and is tested again in double precision. Single precision has errors of 1e-6 m at 10 m.
-"""
+"""Half-width [m] of a bundle of rays around a line of sight. If only some of these rays are blocked, the line passes
+close to an edge and is tested again in double precision. Single precision has errors of 1e-6 m at 10 m."""
 RAY_END_MARGIN = 1e-6
-"""Length [m] at both ends of a ray that is not tested, so that a surface does not hide the points that lie on it."""
+"""Length [m] at both ends of a ray that is not tested, so that a surface does not hide points on it."""
 MAX_RAY_TRIANGLE_PAIRS = 2_000_000
-"""Largest number of pairs of ray and triangle that are tested together."""
-TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
-"""Direction of vertical test rays, tilted slightly so that they do not run along the edges of upright boxes."""
-MAX_SMOOTH_ANGLE = np.radians(35.0)
-"""Angle [rad] between the normals of neighbouring triangles below which they count as parts of one curved surface."""
+"""Largest number of pairs of ray and triangle that are tested at a time, to limit the memory."""
+INSIDE_TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
+"""Direction of the upward rays that test whether a point is inside a body. It is slightly tilted, so that no ray runs
+along an edge of an upright box."""
+MAX_SMOOTH_SURFACE_ANGLE = np.radians(35.0)
+"""Angle [rad] between the normals of adjacent triangles below which they approximate one curved surface."""
 N_CYLINDER_SIDES = 64
-"""Number of flat sides that represent a cylinder. Their edges are 0.1 % of the radius outside the cylinder."""
+"""Number of flat sides that represent a cylinder; their edges are 0.1 % of the radius outside it."""
 NEST_FOOT_RADIUS = 0.025
 """Radius [m] of the foot of a nest."""
 MAX_NEST_UNEVENNESS = 0.002
-"""Largest deviation [m] of the surface from a plane under the foot of a nest."""
+"""Largest permitted deviation [m] of a surface from a plane under the foot of a nest."""
 MIN_NEST_NORMAL_Z = -0.5
-"""Vertical component of the unit normal of a surface up to which the surface carries no nest, because it faces down:
-the normal is then 60 deg or less from straight down."""
+"""Vertical component of the unit normal of a surface up to which no nest is placed on it, because it faces down (60 deg
+or less from straight down)."""
 N_RANDOM_POINTS_PER_NEST_AREA = 12.0
-"""Number of random points that are drawn on a body for each area that a nest occupies, the square of the smallest
-spacing of nests. Of points closer to each other than this spacing only the first becomes a nest."""
+"""Number of random points drawn on a body for each area of a nest (smallest spacing of nests, squared). If points are
+closer to each other than this spacing, only the first becomes a nest."""
 MAX_RANDOM_SURFACE_POINTS = 20_000
-"""Largest number of random points that are drawn on the surface of a body as possible positions of nests."""
+"""Largest number of random points that are drawn on a body as possible positions of nests."""
 MERGE_DECIMALS = 8
-"""Number of decimals of coordinates in metres to which corners of triangles are rounded to merge equal corners."""
-UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
+"""Number of decimals of coordinates [m] to which corners of triangles are rounded to merge equal corners."""
+UNIT_CUBE_TRIANGLES = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
-"""Triangles (12, 3, 3) of a cube of edge 1 m about the origin, with normals outward. Random points on a box depend on
-the order of its triangles.
-"""
+"""Triangles (12, 3, 3) [m] of a cube of edge 1 m around the origin, with outward normals. Their order affects the
+random points on a box."""
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Obstacles of the hall: triangles in the network frame."""
+    """Obstacles in the hall, as triangles in the network frame."""
 
     triangles: Floats
-    """Corners of the m triangles, (m, 3, 3) [m]."""
+    """Corners (m, 3, 3) [m] of the m triangles of all bodies."""
     floor_height: float = 0.0
     """Height [m] of the floor on which tripods stand."""
     body_names_and_triangle_counts: tuple[tuple[str, int], ...] = ()
@@ -67,13 +66,13 @@ class Obstacles:
 
     @cached_property
     def _ray_caster(self) -> RayCaster | None:
-        """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
+        """Ray caster of the library Embree; None if it is not installed, or if there are no triangles."""
         if not len(self.triangles):
             return None
         return RayCaster.from_triangles(self.triangles, _normals_and_areas(self.triangles)[0])
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of those of n straight lines, from origins to end points (n, 3) [m], that a triangle blocks.
 
         A line that touches an edge of a triangle is blocked.
         """
@@ -89,11 +88,11 @@ class Obstacles:
         return hit
 
     def is_blocked_within_tolerance(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
-        """Flags (n,) of n end points (n, 3) [m] that a body may hide from an instrument near its origin (n, 3) [m].
+        """Flags (n,) of the end points (n, 3) [m] that a body may hide from an instrument not exactly at its origin.
 
-        The instrument may be up to `position_tolerance` [m] from its origin. Rays therefore start at the four corners
-        of a square around the circle with this radius, perpendicular to the line of sight. The end point is flagged if
-        any of the four rays is blocked.
+        The instrument may be up to `position_tolerance` [m] from its origin (n, 3) [m]. Rays therefore start at the
+        four corners of a square around the circle with this radius, perpendicular to the line of sight. The flag is set
+        if any of the four rays is blocked.
         """
         sight = end_points - origins
         side, other = perpendicular_vectors(sight / np.linalg.norm(sight, axis=1, keepdims=True))
@@ -106,9 +105,9 @@ class Obstacles:
         return hit
 
     def _is_ray_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of those of n straight lines, from origins to end points (n, 3) [m], that a triangle blocks.
 
-        The intersections are computed in single precision with Embree and in double precision without it.
+        The precision is single with Embree, and double without it.
         """
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
@@ -119,7 +118,7 @@ class Obstacles:
         return self._ray_caster.first_hit_distances(origins, beam) < sight_lengths - RAY_BUNDLE_RADIUS
 
     def is_inside_body(self, points: Floats) -> Bools:
-        """Flags (n,) of n points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
+        """Flags (n,) of n points (n, 3) [m] inside a closed body: an upward ray crosses an odd number of triangles."""
         (west, south), (east, north) = self._triangle_bounding_rectangles
         flat = _plan_coordinates_along_test_ray(points)
         n_crossings = np.zeros(len(points), dtype=np.int64)
@@ -127,13 +126,13 @@ class Obstacles:
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
-            met = _does_ray_hit_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
+            met = _does_ray_hit_triangle(self.triangles[t], points[start + i], INSIDE_TEST_RAY_DIRECTION, np.inf)
             n_crossings[start : start + step] = np.bincount(i[met], minlength=len(x))
         return n_crossings % 2 == 1
 
     @cached_property
     def _triangle_bounding_rectangles(self) -> tuple[Floats, Floats]:
-        """Lowest and highest x and y of each of m triangles, two arrays (2, m) [m], seen along `TEST_RAY_DIRECTION`."""
+        """Smallest and largest x and y of m triangles, projected along the test rays: two arrays (2, m) [m]."""
         flat = _plan_coordinates_along_test_ray(self.triangles)
         return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
@@ -141,9 +140,9 @@ class Obstacles:
     def _distances_to_curved_surface(self) -> Floats:
         """Largest distance (m,) [m] between each of m triangles and the curved surface that it approximates.
 
-        For each edge, a third of the triangle's height over the edge is multiplied by the angle to the neighbouring
-        triangle. The distance is the largest of these products. It is exact for regular triangles on a sphere, and too
-        large for strips on a cylinder. Sharp edges do not contribute.
+        It is the largest value, over the edges, of a third of the triangle's height over the edge times the angle to
+        the adjacent triangle. This is exact for regular triangles on a sphere, and too large for strips on a cylinder.
+        Sharp edges do not count.
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
@@ -153,7 +152,7 @@ class Obstacles:
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals_and_areas(points[faces])
         angle = np.arccos(np.clip(_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
-        shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
+        shared, angle = shared[angle < MAX_SMOOTH_SURFACE_ANGLE], angle[angle < MAX_SMOOTH_SURFACE_ANGLE]
         edge = np.linalg.norm(np.diff(points[edges[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
@@ -162,11 +161,11 @@ class Obstacles:
 
     @cached_property
     def _moved_points_cache(self) -> dict[bytes, Floats]:
-        """Cache of the results of `moved_to_surface`, by the bytes of the array of points."""
+        """Cache of results of `moved_to_surface`, by the bytes of the array of points."""
         return {}
 
     def moved_to_surface(self, points: Floats) -> Floats:
-        """The n points (n, 3) [m], moved just above the surface of a body if they are inside it only slightly.
+        """Copy of n points (n, 3) [m] in which those slightly inside a body are moved just above its surface.
 
         A point is moved if its depth is below the distance between the triangle and the curved surface that the
         triangle approximates.
@@ -174,7 +173,7 @@ class Obstacles:
         if (key := points.tobytes()) not in self._moved_points_cache:
             projected = points.copy()
             for i in np.flatnonzero(self.is_inside_body(points)):
-                nearest = nearest_points(self.triangles, points[i])
+                nearest = nearest_points_on_triangles(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
                 if RAY_END_MARGIN < gap[best] < self._distances_to_curved_surface[best] + RAY_BUNDLE_RADIUS:
@@ -183,7 +182,7 @@ class Obstacles:
         return self._moved_points_cache[key]
 
     def is_setup_inside_body(self, points: Floats) -> Bools:
-        """Flags (n,) of n positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
+        """Flags (n,) of n instrument positions (n, 3) [m] with the instrument or its tripod inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
@@ -191,7 +190,7 @@ class Obstacles:
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
     def body_names_around(self, points: Floats, *, of_setups: bool = False) -> list[str]:
-        """Names of the bodies inside which any of n points (n, 3) [m] lies, or any instrument or tripod `of_setups`."""
+        """Names of the bodies that contain any of n points (n, 3) [m], or (`of_setups`) an instrument or tripod."""
         names, start = [], 0
         for name, n_triangles in self.body_names_and_triangle_counts:
             body = Obstacles(self.triangles[start : start + n_triangles], self.floor_height)
@@ -202,10 +201,11 @@ class Obstacles:
 
 
 def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, ray_lengths: Floats) -> np.ndarray:
-    """Number (n,) of the m triangles (m, 3, 3) [m] that each of n rays meets within its length, in double precision.
+    """Number (n,) of triangles that each of n rays hits within its length, in double precision.
 
-    `ray_directions` (n, 3) are unit vectors, `ray_lengths` are in metres. A ray through an edge meets the triangle, a
-    ray in its plane does not. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
+    `triangles` (m, 3, 3) [m] are m triangles. `ray_directions` (n, 3) are unit vectors, `ray_lengths` (n,) are in
+    metres. A ray through an edge hits the triangle, a ray in its plane does not. Source: Moeller and Trumbore, Journal
+    of Graphics Tools 2 (1997) 21-28.
     """
     n_hits = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
@@ -219,9 +219,9 @@ def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, r
 
 
 def _does_ray_hit_triangle(triangles: Floats, origins: Floats, ray_directions: Floats, length: Floats | float) -> Bools:
-    """Flags (...) of rays that meet their triangle (..., 3, 3) [m] within `length` (...) [m].
+    """Flags (...) of the rays that hit their triangle (..., 3, 3) [m] within `length` (...) [m].
 
-    Ray and triangle are paired by their leading dimensions. Rays have origins (..., 3) [m] and unit vectors (..., 3).
+    The leading dimensions pair rays with triangles. Rays have origins (..., 3) [m] and unit vectors (..., 3).
     """
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
@@ -242,14 +242,14 @@ def _does_ray_hit_triangle(triangles: Floats, origins: Floats, ray_directions: F
 
 
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (m, 3) and areas (m,) [m2] of m triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
+    """Unit normals (m, 3) and areas (m,) [m2] of m triangles (m, 3, 3) [m]; zero normals for zero areas."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     cross_lengths = np.linalg.norm(cross, axis=1)
     return cross / np.where(cross_lengths > 0.0, cross_lengths, 1.0)[:, None], 0.5 * cross_lengths
 
 
-def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """Point (m, 3) [m] of each of m triangles (m, 3, 3) [m], edges included, that is nearest to `point` (3,) [m]."""
+def nearest_points_on_triangles(triangles: Floats, point: Floats) -> Floats:
+    """Points (m, 3) [m] of m triangles (m, 3, 3) [m], edges included, that are nearest to `point` (3,) [m]."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     edge_fractions = np.clip(_dot_products(gap, edge) / np.maximum(_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + edge_fractions[..., None] * edge
@@ -261,29 +261,29 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
 
 
 def _plan_coordinates_along_test_ray(points: Floats) -> Floats:
-    """Coordinates x and y (..., 2) [m] of points (..., 3) projected to z = 0 along `TEST_RAY_DIRECTION`."""
-    return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
+    """Coordinates x and y (..., 2) [m] of points (..., 3) projected along `INSIDE_TEST_RAY_DIRECTION` to z = 0."""
+    return points[..., :2] - points[..., 2:] * INSIDE_TEST_RAY_DIRECTION[:2] / INSIDE_TEST_RAY_DIRECTION[2]
 
 
 def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
-    """Inner products (...) of pairs of vectors with k elements (..., k)."""
+    """Dot products (...) of pairs of vectors (..., k)."""
     return np.asarray(np.einsum("...k,...k->...", first_vectors, second_vectors))
 
 
 def rotate_and_shift_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
-    """The m triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
+    """Triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
 
 def box_triangles(edge_lengths: Floats) -> Floats:
-    """Triangles (12, 3, 3) [m] of a box with edges (3,) [m] along x, y, z that stands on z = 0 around the z axis."""
-    return UNIT_CUBE * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
+    """Triangles (12, 3, 3) [m] of a box with edges (3,) [m] along x, y, z, standing on z = 0 around the z axis."""
+    return UNIT_CUBE_TRIANGLES * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
-    """The m triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0 around the z axis; sizes in metres.
+    """Triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0 around the z axis; sizes in metres.
 
-    The flat sides of the mesh are tangent to the cylinder.
+    The flat sides of the mesh touch the cylinder from outside.
     """
     radius, turn = (
         0.5 * diameter / np.cos(np.pi / N_CYLINDER_SIDES),
@@ -297,18 +297,18 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
 
 
 def wall_triangles(hall_size: Floats) -> Floats:
-    """Triangles (8, 3, 3) [m] of the walls of a hall of size (3,) [m] with a corner at the origin; normals inward."""
-    body = (UNIT_CUBE + 0.5) * hall_size
+    """Triangles (8, 3, 3) [m] of the walls of a hall of size (3,) [m] with a corner at the origin; inward normals."""
+    body = (UNIT_CUBE_TRIANGLES + 0.5) * hall_size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
 def join_obstacles(
     triangle_sets: Iterable[Floats], floor_height: float = 0.0, body_names: Sequence[str] = ()
 ) -> Obstacles:
-    """Obstacles of several sets of m triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
+    """Obstacles from several sets of m triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
 
-    `body_names` are the names of the sets. The object of the last call is returned again if triangles, floor and names
-    are the same. Reuse saves memory: the ray caster takes 600 bytes per triangle, which only garbage collection frees.
+    `body_names` are the names of the sets. If triangles, floor and names are those of the latest call, its object is
+    returned again. This saves memory: the ray caster takes 600 bytes per triangle, which only garbage collection frees.
     """
     parts = list(triangle_sets)
     triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
@@ -324,7 +324,7 @@ def join_obstacles(
 
 
 _LATEST_OBSTACLES: dict[tuple[bytes, float, tuple[tuple[str, int], ...]], Obstacles] = {}
-"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles, height of the floor, and bodies."""
+"""Obstacles of the latest call of `join_obstacles`, by digest of the triangles, height of the floor, and bodies."""
 
 
 def candidate_nest_positions(
@@ -335,10 +335,10 @@ def candidate_nest_positions(
     *,
     is_closed: bool = True,
 ) -> Floats:
-    """Possible positions (P, 3) [m] of P reflector centres over the surface of a body of m triangles (m, 3, 3) [m].
+    """Possible positions (P, 3) [m] of reflector centres over the surface of a body with m triangles (m, 3, 3) [m].
 
     The centres are `surface_offset` [m] above the surface, at least `min_spacing` [m] from each other, and outside all
-    bodies of `obstacles`. If `is_closed`, the triangles enclose the body, and its outer side is determined for any
+    bodies of `obstacles`. With `is_closed` the triangles enclose the body, and its outer side does not depend on the
     order of their corners. Otherwise the normals of the triangles define the outer side.
     """
     drawn, normal = _random_surface_points(body_triangles, min_spacing)
@@ -357,8 +357,8 @@ def candidate_nest_positions(
 def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
     """Random points (n, 3) [m], uniform over the area of m triangles (m, 3, 3) [m], and surface normals (n, 3) there.
 
-    The number n of points is `N_RANDOM_POINTS_PER_NEST_AREA` per area of `mean_spacing` [m] squared, at least 200 and
-    at most `MAX_RANDOM_SURFACE_POINTS`.
+    Each area of `mean_spacing` [m] squared gets `N_RANDOM_POINTS_PER_NEST_AREA` points; n is at least 200 and at most
+    `MAX_RANDOM_SURFACE_POINTS`.
     """
     normal, area = _normals_and_areas(body_triangles)
     rng = random_stream(0, "nests")
@@ -372,10 +372,10 @@ def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple
 
 
 def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
-    """Flags (n,) of n positions (n, 3) [m] under which the surface of a body is flat over the foot of a nest.
+    """Flags (n,) of those of n positions (n, 3) [m] under which a surface is flat enough for the foot of a nest.
 
-    `surface_normals` (n, 3) are the normals of the surface under the positions, `surface_offset` [m] is the height of
-    the positions above the surface.
+    `surface_normals` (n, 3) are the surface normals under the positions, `surface_offset` [m] is the height of the
+    positions above the surface.
     """
     side, other = perpendicular_vectors(surface_normals)
     is_flat = np.ones(len(places), dtype=bool)
@@ -391,7 +391,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
 
 
 def _thinned_positions(places: Floats, min_spacing: float) -> Floats:
-    """Positions among n `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained one."""
+    """Positions among `places` (n, 3) [m] that are at least `min_spacing` [m] from all earlier ones of the result."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

@@ -1,4 +1,4 @@
-"""First hits of rays on triangles, in single precision, by the library Embree (the extra `cad`)."""
+"""First triangle that a ray hits, computed in single precision by the library Embree (extra `cad`)."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ import numpy as np
 from ltsim.core.arrays import Floats
 
 EMBREE_SCENE_DIAGONAL = 100.0
-"""Diagonal of the box around all triangles, in the units of the library Embree; its tolerances are made for it."""
+"""Diagonal, in units of Embree, to which the box around all triangles is scaled; Embree's tolerances suit this size."""
 MIN_INCIDENCE_COSINE = 1e-12
-"""Smallest cosine between a ray and the normal of a triangle at which the ray hits the triangle."""
+"""Cosine between a ray and the normal of a triangle below which the ray is parallel to the triangle and does not hit
+it."""
 
 
 @dataclass(frozen=True)
 class RayCaster:
-    """Triangles in the data structure of the library Embree, which finds the first triangle that a ray hits."""
+    """Triangles prepared for the library Embree, which finds the first triangle that a ray hits."""
 
     triangles: Floats
     """Corners (m, 3, 3) [m] of m triangles."""
     normals: Floats
-    """Unit normals (m, 3) of the m triangles; zero for a triangle without area."""
+    """Unit normals (m, 3) of m triangles; zero for a triangle without area."""
     low_corner: Floats
-    """Smallest coordinates (3,) [m] of all triangles, the origin of Embree's coordinates."""
+    """Smallest coordinates (3,) [m] of all triangles: origin of Embree's coordinates."""
     embree_units_per_metre: float
-    """Number of units of Embree in a metre."""
+    """Number of Embree's units of length in a metre."""
     embree_scene: Any
-    """Embree object that holds the scaled triangles."""
+    """Object of Embree with the scaled triangles."""
 
     @classmethod
     def from_triangles(cls, triangles: Floats, normals: Floats) -> RayCaster | None:
@@ -46,9 +47,9 @@ class RayCaster:
         return cls(triangles, normals, low_corner, scale, scene)
 
     def first_hit_distances(self, origins: Floats, directions: Floats) -> Floats:
-        """Distances (n,) [m] from n origins (n, 3) [m] along unit vectors (n, 3) to the first triangle; inf for none.
+        """Distances (n,) [m] from n origins (n, 3) along unit vectors (n, 3) to the first triangle; inf without hit.
 
-        Embree finds the triangle; the distance to its plane is computed in double precision.
+        Embree determines the triangle; the distance to its plane is computed in double precision.
         """
         start = np.ascontiguousarray((origins - self.low_corner) * self.embree_units_per_metre, dtype=np.float32)
         triangle = np.asarray(self.embree_scene.run(start, np.ascontiguousarray(directions, dtype=np.float32)))

@@ -1,11 +1,12 @@
-"""Regions of the hall that lines of sight pass (ball, column, height band, slab), fixed in the network frame.
+"""Regions of the hall that change lines of sight passing through them, such as a ball or column of warm air.
 
-A region has a Gaussian weight in the axes that bound it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)). Here r is a
-position, c the centre of the region, and the matrix A selects the bounded axes. The integral of w along a line of sight
-of length d and unit vector b has a closed form. Let a = |A b|^2. At its point nearest to the centre (distances in the
-bounded axes) the line has the distance rho from the centre, and the distance s0 from its start. With the standard
-normal distribution function Phi the integral is
-exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
+A region is fixed in the network frame, and bounded in some of the axes x, y, z. It has the Gaussian weight w(r) =
+exp(-|A (r - c)|^2 / (2 width^2)), with the position r, the centre c, and the matrix A that selects the bounded axes.
+
+The integral of w along a line of sight of length d and direction b (unit vector) has a closed form. Let a = |A b|^2. In
+the bounded axes, let rho be the distance from the centre to the nearest point of the line, and s0 the distance along
+the line to this point. With the standard normal distribution function Phi the integral is exp(-rho^2 / (2 width^2))
+width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,37 +27,36 @@ REGION_SHAPES = {
     "x": "slab across x",
     "y": "slab across y",
 }
-"""Name of the shape of a region, by the coordinate axes in which the region is bounded."""
-MIN_CENTRE_STEP = 0.5
-"""Smallest spacing [m] of the centres of regions on the coarsest grid; it limits the number of candidate regions."""
-MAX_CENTRES_PER_AXIS = 10
-"""Largest number of centres of regions along an axis of the coarsest grid; it limits the number of candidate
-regions."""
+"""Name of the shape of a region, by the axes in which the region is bounded."""
+MIN_REGION_CENTRE_SPACING = 0.5
+"""Smallest spacing [m] of region centres on the coarsest grid, to limit the number of candidate regions."""
+MAX_REGION_CENTRES_PER_AXIS = 10
+"""Largest number of region centres along an axis of the coarsest grid, to limit the number of candidate regions."""
 GRID_SUBDIVISIONS_BY_N_AXES = {1: (1, 4), 2: (1, 2), 3: (1,)}
-"""Fineness of the grids of candidate regions, by the number of axes in which a region is bounded: each number divides
-the spacing of the coarsest grid. A finer grid detects disturbances much narrower than the coarsest spacing: a region
-several times as wide as the disturbance has only a tenth of the evidence."""
-MIN_PASSING_LINES = 6
-"""Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
-MAX_PASSING_LINE_FRACTION = 0.8
-"""Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
-the whole recording."""
+"""Divisors of the spacing of the coarsest grid that give the grids of candidate regions, by the number of bounded axes.
+A finer grid is needed for a disturbance narrower than the spacing: a region several times wider than the disturbance
+has only a tenth of the evidence."""
+MIN_LINES_THROUGH_REGION = 6
+"""Smallest number of lines of sight through a candidate region; fewer lines show an error of single readings."""
+MAX_LINE_FRACTION_THROUGH_REGION = 0.8
+"""Largest fraction of all lines of sight that may pass through a candidate region; if almost all do, the error belongs
+to the whole recording."""
 MIN_TARGETS_BEHIND_REGION = 2
-"""Smallest number of targets whose lines of sight pass a candidate region. An error on the lines to a single target is
-an error of this target."""
-REFINED_CENTRE_STEPS = (0.5, 0.15)
-"""Shifts of the centre of a region, divided by its width, that a local search tries."""
-REFINED_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
-"""Factors on the width of a region that a local search tries."""
+"""Smallest number of targets whose lines of sight pass through a candidate region; with a single target the error
+belongs to this target."""
+LOCAL_SEARCH_CENTRE_SHIFTS = (0.5, 0.15)
+"""Shifts of a region's centre that a local search tries, divided by the width of the region."""
+LOCAL_SEARCH_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
+"""Factors by which a local search multiplies the width of a region."""
 MIN_REGION_WIDTH = 0.005
-"""Smallest width [m] of a region in a local search, the width of a tracker's beam. A narrower region would contain
+"""Smallest width [m] of a region in a local search: the width of a tracker's beam. A narrower region would contain
 single lines of sight."""
 MAX_REGION_LINE_PAIRS = 300_000
-"""Largest number of pairs of region and line of sight that are processed at a time; they take some tens of MB."""
+"""Largest number of pairs of region and line of sight that are processed at a time; they take some tens of MB of
+memory."""
 MAX_PARALLEL_SINE_SQUARED = 1e-9
-"""Squared sine of the angle between a line of sight and the unbounded axes of a region, up to which the line counts as
-parallel to these axes and the weight of the region as constant along it.
-"""
+"""Squared sine of the angle between a line of sight and the unbounded axes of a region, below which the line is
+parallel to these axes, so that the weight is constant along it."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class HallRegion:
     bounded_axes : str
         Axes in which the region is bounded, a key of `REGION_SHAPES`.
     centre : tuple of float
-        Coordinates [m] along these axes, network frame.
+        Coordinates [m] of the centre along these axes, in the network frame.
     width : float
         Standard deviation [m] of the Gaussian weight.
     """
@@ -76,12 +76,12 @@ class HallRegion:
     bounded_axes: str
     """Axes in which the region is bounded, such as `xy` for a column."""
     centre: tuple[float, ...]
-    """Coordinates [m] of the centre along the bounded axes, network frame."""
+    """Coordinates [m] of the centre along the bounded axes, in the network frame."""
     width: float
-    """Standard deviation [m] of its Gaussian weight."""
+    """Standard deviation [m] of the Gaussian weight."""
 
     def path_lengths(self, sightings: Sightings) -> Floats:
-        """Length (n,) [m] of the lines of sight of n pointings in the region: the integral of its weight w."""
+        """Length (n,) [m] of n lines of sight inside the region: integral of the region's weight along each line."""
         if self not in sightings.derived_cache:
             sightings.derived_cache[self] = path_lengths_in_regions(
                 sightings, self.bounded_axes, np.array([self.centre]), self.width
@@ -90,13 +90,13 @@ class HallRegion:
         return path
 
     def lever_weighted_path_lengths(self, sightings: Sightings) -> Floats:
-        """Path lengths (n,) [m] of n lines of sight in the region, weighted by the lever of each point on the line.
+        """Length (n,) [m] of n lines of sight inside the region, each part weighted by its lever to the line's end.
 
-        They are integrals of w (d - s) / d over the distance s from the station, with the region's weight w and the
-        length d of the line. A deflection of the line at the distance s, proportional
-        to the weight w there, moves its end in proportion to the remaining length d - s. The integral is therefore
-        proportional to the change of the measured direction. Along the line w is a Gaussian about the nearest approach
-        s0. The integral of (d - s) w is (d - s0) times the path length minus the first moment of w about s0.
+        It is the integral of w (d - s) / d over the distance s from the station, with the region's weight w and the
+        length d of the line. A deflection at s in proportion to w moves the end of the line in proportion to the
+        remaining length d - s. The integral is therefore proportional to the change of the measured direction. Along
+        the line w is a Gaussian about s0, the distance to the point nearest to the centre. The integral of (d - s) w is
+        (d - s0) times the path length minus the first moment of w about s0.
         """
         key = self, "lever"
         if key not in sightings.derived_cache:
@@ -108,12 +108,12 @@ class HallRegion:
         return lever
 
     def n_effective_targets(self, sightings: Sightings) -> float:
-        """Effective number of targets in the region, (sum of w)^2 / (sum of w^2) over the weights w of all targets."""
+        """Effective number of targets inside the region: (sum of w)^2 / (sum of w^2) over the targets' weights w."""
         target_weights = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
         return float(target_weights.sum() ** 2 / max(np.sum(target_weights**2), 1e-300))
 
     def target_weights(self, sightings: Sightings) -> Floats:
-        """Weight (n,) of the region, between 0 and 1, at the target of each of n pointings."""
+        """Weight (n,) of the region, from 0 to 1, at the target of each of n pointings."""
         indices = ["xyz".index(axis) for axis in self.bounded_axes]
         gap = sightings.target_points[:, indices] - np.asarray(self.centre)
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
@@ -122,10 +122,10 @@ class HallRegion:
     def path_lengths_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Path lengths (n,) [m] of n lines of sight in a region bounded in x, y and z, and their bending (n, 3) [m].
 
-        The weight of the region at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight
-        has the length d, and s is the distance along it. Its path length is the integral of w over s. Its bending is
-        the integral over s of (d - s) times the component of the gradient of w across the line. The component rho of
-        r - c across a straight line is constant, so that the bending is -rho / width^2 times the integral of (d - s) w.
+        The weight at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight has the
+        length d, and s is the distance along it. The path length is the integral of w over s. The bending is the
+        integral over s of (d - s) times the gradient of w across the line. The component rho of r - c across a straight
+        line is constant. Therefore the bending is -rho / width^2 times the integral of (d - s) w.
         """
         beam, length, width = sightings.beam_vectors[0], sightings.range_, self.width
         start = sightings.station_positions[sightings.station] - np.asarray(self.centre)
@@ -135,22 +135,22 @@ class HallRegion:
         lever = (length - nearest) * path - width**2 * ends * np.exp(-0.5 * np.sum(rho**2, axis=1) / width**2)
         return path, -rho * (lever / width**2)[:, None]
 
-    def neighbours(self) -> Iterator["HallRegion"]:
-        """Iterator over regions for a local search that differ from this one by a shifted centre or by the width."""
-        for i, move, sign in product(range(len(self.bounded_axes)), REFINED_CENTRE_STEPS, (1.0, -1.0)):
+    def local_search_variants(self) -> Iterator["HallRegion"]:
+        """Iterator over the regions that a local search tries: with a shifted centre, or with another width."""
+        for i, move, sign in product(range(len(self.bounded_axes)), LOCAL_SEARCH_CENTRE_SHIFTS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
             yield replace(self, centre=tuple(centre))
-        for factor in REFINED_WIDTH_FACTORS:
+        for factor in LOCAL_SEARCH_WIDTH_FACTORS:
             if self.width * factor >= MIN_REGION_WIDTH:
                 yield replace(self, width=round(self.width * factor, 6))
 
 
 def path_lengths_in_regions(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
-    """Path lengths (r, n) [m] of n lines of sight in r regions of one shape and width [m].
+    """Path lengths (r, n) [m] of n lines of sight in r regions with a common shape and width.
 
-    `bounded_axes` is a key of `REGION_SHAPES`, `region_centres` (r, k) [m] are the coordinates of the centres in these
-    k axes, and `width` [m] is the standard deviation of the weight.
+    `bounded_axes` is a key of `REGION_SHAPES`. `region_centres` (r, k) [m] are the centres in these k axes. `width` [m]
+    is the standard deviation of the weight.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
@@ -162,9 +162,10 @@ def path_lengths_in_regions(sightings: Sightings, bounded_axes: str, region_cent
 def lever_weighted_path_lengths_in_regions(
     sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
 ) -> Floats:
-    """Lever-weighted path lengths (r, n) [m] of n lines of sight in r regions, as in the method of `HallRegion`.
+    """Path lengths (r, n) [m] of n lines of sight in r regions, weighted by the lever to the end of each line.
 
-    `path_lengths` (r, n) [m] are the results of `path_lengths_in_regions` for the same regions.
+    The weights are those in `HallRegion.lever_weighted_path_lengths`. `path_lengths` (r, n) [m] is the result of
+    `path_lengths_in_regions` for these regions.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     lever = 0.5 * path_lengths  # w is constant along a parallel line
@@ -181,9 +182,9 @@ def _lines_relative_to_centres(
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
     """Lines of sight in the k bounded coordinates, relative to the centres (r, k) [m] of r regions.
 
-    The results are the unit vectors of the n lines in these coordinates (n, k), the lengths of the lines (n,) [m], the
-    start points minus the centres (r, n, k) [m], the squared lengths (n,) of the unit vectors in these coordinates, and
-    flags (n,) of the lines that are not parallel to the unbounded axes.
+    The results, in these coordinates, are the components (n, k) of the unit vectors of n lines, the lengths (n,) [m] of
+    the lines, the start points minus the centres (r, n, k) [m], and the squared lengths (n,) of the components. Flags
+    (n,) of the lines that are not parallel to the unbounded axes follow.
     """
     indices = ["xyz".index(axis) for axis in bounded_axes]
     beam = sightings.beam_vectors[0][:, indices]
@@ -195,8 +196,8 @@ def _lines_relative_to_centres(
 def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: Floats) -> tuple[Floats, Floats]:
     """Distance (..., n) [m] along each of n lines to its point nearest to a centre, and this point (..., n, k) [m].
 
-    Start points (..., n, k) and nearest points are relative to the centre, in the k bounded coordinates. `beam` (n, k)
-    are the components of the unit vectors of the lines in them, `squared_beam_length` (n,) their squared lengths.
+    Start points (..., n, k) and nearest points are relative to the centre, in k bounded coordinates. `beam` (n, k) are
+    the components of the unit vectors of the lines in them, `squared_beam_length` (n,) their squared lengths.
     """
     nearest = -np.sum(start_points * beam, axis=-1) / squared_beam_length
     return nearest, start_points + nearest[..., None] * beam
@@ -209,10 +210,10 @@ def _line_integral(
     sigma_along_line: Floats,
     width: float,
 ) -> Floats:
-    """Integral (..., n) [m] of the weight w of a region along n lines of length (n,) [m].
+    """Integral (..., n) [m] of the weight w of a region along n lines of lengths `line_lengths` (n,) [m].
 
-    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] (in k bounded coordinates) are the
-    results of `_nearest_approach`, `sigma_along_line` (n,) [m] the standard deviation of w along each line.
+    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
+    `_nearest_approach`. `sigma_along_line` (n,) [m] is the standard deviation of w along each line.
     """
     from scipy.special import ndtr
 
@@ -227,13 +228,13 @@ def _line_integral(
 
 
 def coordinate_extent(sightings: Sightings) -> tuple[Floats, Floats]:
-    """Lowest and highest coordinates x, y, z of all stations and targets with a pointing, each (3,) [m]."""
+    """Smallest and largest coordinates x, y, z (3,) [m] of all measured targets and their stations."""
     ends = np.vstack([sightings.station_positions[sightings.station], sightings.target_points[sightings.target]])
     return ends.min(axis=0, initial=np.inf), ends.max(axis=0, initial=-np.inf)
 
 
 def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
-    """Regions of the given shapes, on grids over the hall, through which enough but not almost all lines of sight pass.
+    """Regions on grids over the hall through which many, but not almost all, lines of sight pass.
 
     `region_shapes` are keys of `REGION_SHAPES`, by default all.
     """
@@ -247,9 +248,9 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
 
 
 def _candidate_regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
-    """Candidate regions bounded in `axes`, on the coarsest grid and on the finer grids for its number of axes."""
+    """Candidate regions bounded in `axes`, on the coarsest grid and on finer ones (`GRID_SUBDIVISIONS_BY_N_AXES`)."""
     low, high = coordinate_extent(sightings)
-    coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
+    coarsest_spacing = max(MIN_REGION_CENTRE_SPACING, float((high - low).max()) / MAX_REGION_CENTRES_PER_AXIS)
     return [
         r
         for parts in GRID_SUBDIVISIONS_BY_N_AXES[len(axes)]
@@ -258,7 +259,7 @@ def _candidate_regions_of_shape(sightings: Sightings, axes: str) -> list[HallReg
 
 
 def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: float) -> list[HallRegion]:
-    """Candidate regions bounded in `bounded_axes`, with centres on a grid with the spacing `grid_spacing` [m]."""
+    """Candidate regions bounded in `bounded_axes`, with centres on a grid of spacing `grid_spacing` [m]."""
     low, high = coordinate_extent(sightings)
     width, regions = round(0.5 * grid_spacing, 6), list[HallRegion]()
     grids = [
@@ -282,12 +283,14 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
 
 
 def is_passed_by_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
-    """Flags (r,) of the regions through which enough lines of sight to several targets pass, but not almost all lines.
+    """Flags (r,) of the regions through which enough lines of sight, to several targets, but not almost all pass.
 
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
     """
     n_crossed = is_crossed.sum(axis=1)
-    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_LINE_FRACTION * len(sightings))
+    is_sufficient = (n_crossed >= MIN_LINES_THROUGH_REGION) & (
+        n_crossed <= MAX_LINE_FRACTION_THROUGH_REGION * len(sightings)
+    )
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND_REGION

@@ -1,4 +1,4 @@
-"""Geometry of all pointings of a network, computed once for all effects."""
+"""Geometry of all pointings of a network (ranges, angles, incidence, order in time), computed once for all effects."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,15 +12,14 @@ from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_deriv
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
-"""Smallest rotation [rad] of an axis between two pointings for which the axis counts as moved."""
+"""Rotation [rad] of an axis between two pointings above which the axis has moved."""
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """Sightings of a network: station, target, face and time of each pointing, and positions of stations and targets.
+    """Geometry of n pointings from S stations to T targets, from which effects compute the change of readings.
 
-    The arrays have n pointings, S stations and T targets. They are in SI units and in the network frame unless a name
-    says otherwise.
+    Arrays are in SI units and in the network frame, unless a name says otherwise.
     """
 
     station: Ints
@@ -32,82 +31,79 @@ class Sightings:
     face: Ints
     """Face (1 or 2) of each of n pointings, (n,)."""
     repeat: Ints
-    """Number of the round of measurements to which each of n pointings belongs, (n,); a station may repeat its round.
-    """
+    """Number of the round of measurements of each of n pointings, (n,); a station may repeat its round."""
     time: Floats
     """Time of each of n pointings, (n,) [s]."""
     station_positions: Floats
-    """Origin of the instrument at each of S stations, (S, 3) [m]."""
+    """Origins of the instruments at S stations, (S, 3) [m]."""
     station_rotations: Floats
-    """Rotation from the instrument frame at each of S stations to the network frame, (S, 3, 3)."""
+    """Rotations from the instrument frames at S stations to the network frame, (S, 3, 3)."""
     target_points: Floats
     """Coordinates of T targets, (T, 3) [m]."""
     nest_normals: Floats
-    """Unit normal of the open side of the nest of each of T targets, (T, 3); NaN if unknown."""
+    """Unit normals of the nests of T targets, out of the open side, (T, 3); NaN if unknown."""
     is_reaimed: Bools
-    """Flags (T,) of those of T targets whose reflector is turned towards the station before each pointing."""
+    """Flags (T,) of the targets whose reflector is turned towards the station before each pointing."""
     station_names: tuple[str, ...]
-    """Name of each station, S entries."""
+    """Names of the S stations."""
     target_names: tuple[str, ...]
-    """Name of each target, T entries."""
+    """Names of the T targets."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional columns of the data table of the recording, such as a temperature, by name, each (n,) for n pointings.
-    """
+    """Additional columns of the recording by name, such as a temperature, each (n,) for n pointings."""
     sight_vector_offsets: Floats | None = None
-    """Vector from instrument to reflector minus vector from station to target, for n pointings (n, 3) [m]: offset of
-    the reflector from its target minus offset of the instrument from its station. None if all are zero.
-    """
+    """Vectors (n, 3) [m] from instrument to reflector minus those from station to target, for n pointings. Such a
+    vector is the offset of the reflector from its target minus the offset of the instrument from its station. None if
+    all are zero."""
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) [m, rad] of n pointings that include the instrument's errors. Errors with a short period
-    depend on them. If None, ideal readings are used.
-    """
+    """Raw readings (n, 3) [m, rad] of n pointings with the instrument's errors; errors with a short period depend on
+    them. If None, ideal (error-free) readings are used."""
 
     def __len__(self) -> int:
         return len(self.station)
 
     def with_geometry(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """Copy with other positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and T targets (T, 3) [m]."""
+        """Copy with other station positions (S, 3) [m], station rotations (S, 3, 3) and targets (T, 3) [m]."""
         return replace(
             self, station_positions=position, station_rotations=rotation, target_points=points, encoder_readings=None
         )
 
     @cached_property
     def derived_cache(self) -> dict[Hashable, Any]:
-        """Cache of quantities derived from these sightings, by keys that the functions using it choose."""
+        """Cache of quantities derived from these sightings, by keys that the calling functions choose."""
         return {}
 
     @cached_property
     def station_indices_by_name(self) -> dict[str, list[int]]:
-        """Indices of the stations with each name.
+        """Indices of the stations by name.
 
-        A name has several indices if alternative positions of one station are evaluated together.
+        A name has several indices if alternative positions of a station are evaluated together.
         """
         return _index_by_name(self.station_names)
 
     @cached_property
     def target_indices_by_name(self) -> dict[str, list[int]]:
-        """Indices of the targets with each name."""
+        """Indices of the targets by name."""
         return _index_by_name(self.target_names)
 
     @cached_property
     def sight_vectors(self) -> Floats:
-        """Vectors (n, 3) [m] from the instrument to the reflector in n pointings, network frame."""
+        """Vectors (n, 3) [m] from the instrument to the reflector in n pointings, in the network frame."""
         arm: Floats = self.target_points[self.target] - self.station_positions[self.station]
         return arm if self.sight_vector_offsets is None else arm + self.sight_vector_offsets
 
     @cached_property
     def local_points(self) -> Floats:
-        """Coordinates (n, 3) [m] of the reflector in n pointings, instrument frame."""
+        """Coordinates (n, 3) [m] of the reflector in n pointings, in the frame of the instrument."""
         return np.einsum("nji,nj->ni", self.station_rotations[self.station], self.sight_vectors)
 
     @cached_property
     def ideal_front_face_readings(self) -> Floats:
-        """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the front face, (n, 3)."""
+        """Ideal (error-free) ranges, azimuths and elevations of n pointings in face 1, (n, 3) [m, rad]."""
         return to_polar(self.local_points)
 
     @cached_property
     def ideal_raw_readings(self) -> Floats:
-        """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the used face, (n, 3)."""
+        """Ideal (error-free) ranges, azimuths and elevations of n pointings in their face, (n, 3) [m, rad]."""
         return to_face(self.ideal_front_face_readings, self.face)
 
     @property
@@ -117,37 +113,37 @@ class Sightings:
 
     @property
     def range_(self) -> Floats:
-        """Ideal range of each of n pointings, (n,) [m]."""
+        """Ideal (error-free) range of each of n pointings, (n,) [m]."""
         return self.ideal_front_face_readings[:, 0]
 
     @property
     def azimuth(self) -> Floats:
-        """Ideal azimuth of each of n pointings on the front face, (n,) [rad]."""
+        """Ideal (error-free) azimuth in face 1 of each of n pointings, (n,) [rad]."""
         return self.ideal_front_face_readings[:, 1]
 
     @property
     def elevation(self) -> Floats:
-        """Ideal elevation of each of n pointings on the front face, (n,) [rad]."""
+        """Ideal (error-free) elevation in face 1 of each of n pointings, (n,) [rad]."""
         return self.ideal_front_face_readings[:, 2]
 
     @cached_property
     def face_sign(self) -> Floats:
-        """Sign of the face of each of n pointings, (n,): +1 for the front face, -1 for the back face."""
+        """Sign (n,) of the face of each of n pointings: +1 for face 1, -1 for face 2."""
         return np.where(self.face == 2, -1.0, 1.0)
 
     @cached_property
     def local_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
+        """Derivatives (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
         return polar_jacobian(self.ideal_front_face_readings, self.face)
 
     @cached_property
     def target_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of the raw readings of n pointings by the target's network coordinates."""
+        """Derivatives (n, 3, 3) of the raw readings of n pointings by the target coordinates in the network frame."""
         return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
 
     @cached_property
     def beam_vectors(self) -> tuple[Floats, Floats, Floats]:
-        """Unit vectors along the beam, to its left, and upwards across it, each (n, 3) for n pointings.
+        """Unit vectors along the beam, to its left, and upwards perpendicular to it, each (n, 3) for n pointings.
 
         The vectors are in the network frame.
         """
@@ -159,10 +155,10 @@ class Sightings:
 
     @cached_property
     def reading_change_by_error_key(self) -> dict[str, Floats]:
-        """Change (n, 3) of the readings of n pointings per unit of each instrument error, by the key of the error.
+        """Change (n, 3) [m, rad] of the readings of n pointings per unit of each instrument error, by key of the error.
 
-        The keys are those of `MISALIGNMENT_CHAIN`. Instrument errors are corrections, which are added to a reading. For
-        a fixed point a reading is therefore smaller by its correction, hence the minus sign.
+        The keys are those of `MISALIGNMENT_CHAIN`. An instrument error is a correction, which is added to a reading.
+        The reading of a fixed point is therefore smaller by its correction, hence the minus sign.
         """
         error_keys = {motion.error_key for motion in MISALIGNMENT_CHAIN}
         _, derivatives_by_key = points_and_error_derivatives(
@@ -174,31 +170,31 @@ class Sightings:
 
     @cached_property
     def time_since_station_start(self) -> Floats:
-        """Time of each of n pointings since the first pointing of the same station, (n,) [s]."""
+        """Time (n,) [s] of each of n pointings since the first pointing of its station."""
         first_times = np.full(len(self.station_names), np.inf)
         np.minimum.at(first_times, self.station, self.time)
         return self.time - first_times[self.station]
 
     @cached_property
     def elapsed_occupation_fraction(self) -> Floats:
-        """Elapsed fraction (n,) of the occupation of the station at n pointings: 0 at its first one, 1 at its last."""
+        """Elapsed fraction (n,) of the station's occupation at n pointings: 0 at its first, 1 at its last."""
         duration = np.full(len(self.station_names), 1e-9)
         np.maximum.at(duration, self.station, self.time_since_station_start)
         return self.time_since_station_start / duration[self.station]
 
     @cached_property
     def measurement_order(self) -> Ints:
-        """Indices (n,) of the n pointings in the order of measurement: by time, and by index at equal times."""
+        """Indices (n,) of the n pointings in the order of time; at equal times in the order of the recording."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
     def pointing_order_by_station(self) -> Ints:
-        """Indices (n,) of the n pointings sorted by station, and within each station in the order of measurement."""
+        """Indices (n,) of the n pointings in the order of stations, and for each station in the order of time."""
         return self.measurement_order[np.argsort(self.station[self.measurement_order], kind="stable")]
 
     @cached_property
     def previous_pointing_indices(self) -> Ints:
-        """Index (n,), for n pointings, of the previous pointing of the same station; -1 for the first of a station."""
+        """Index (n,) of the previous pointing of the station for each of n pointings; -1 for the first of a station."""
         row_order = self.pointing_order_by_station
         before = np.full(len(self), -1)
         same = np.diff(self.station[row_order]) == 0
@@ -206,7 +202,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Sum (n,) of increments (n,) of n pointings, from the second pointing of a set-up to each of its pointings."""
+        """Sum (n,) of the increments (n,) of n pointings from the second pointing of the station to each pointing."""
         row_order = self.pointing_order_by_station
         first_indices = np.maximum.accumulate(
             np.where(self.previous_pointing_indices[row_order] < 0, np.arange(len(row_order)), 0)
@@ -218,9 +214,9 @@ class Sightings:
 
     @cached_property
     def reading_changes_since_previous_pointing(self) -> Floats:
-        """Change (n, 3) [m, rad] of the readings of n pointings from the previous pointing of the same station.
+        """Change (n, 3) [m, rad] of the readings of n pointings since the previous pointing of the station.
 
-        It is 0 for the first pointing of a station. The change of azimuth is the shorter of the two rotations.
+        It is 0 for the first pointing of a station. The change of azimuth is the smaller of the two possible rotations.
         """
         move: Floats = np.where(
             self.previous_pointing_indices[:, None] >= 0,
@@ -232,15 +228,15 @@ class Sightings:
 
     @cached_property
     def cumulative_head_rotation(self) -> Floats:
-        """Cumulative rotation (n,) [rad] of the head at n pointings since the set-up began, full turns counted."""
+        """Rotation (n,) [rad] of the head at n pointings since the station's first pointing, with full turns."""
         return self._cumulative_sum(self.reading_changes_since_previous_pointing[:, 1])
 
     @cached_property
     def approach_signs(self) -> Floats:
-        """Sign (n, 2) of the last motion of the azimuth axis and of the elevation axis before each of n pointings.
+        """Signs (n, 2) of the last rotation of the azimuth axis and of the elevation axis before each of n pointings.
 
-        An axis that does not move retains the sign of its previous motion. The sign is 0 until the first motion after
-        the set-up of a station.
+        An axis that does not move keeps the sign of its previous rotation. The sign is 0 until the first rotation at a
+        station.
         """
         sign = np.where(
             np.abs(self.reading_changes_since_previous_pointing[:, 1:]) < MIN_AXIS_ROTATION,
@@ -255,14 +251,14 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of target changes from the start of the set-up to n pointings; each change is a new seating."""
+        """Number (n,) of target changes at a station before n pointings; each change is a new seating of the SMR."""
         return self._cumulative_sum(self.target != self.target[self.previous_pointing_indices]).astype(np.int64)
 
     @cached_property
     def covariate_values(self) -> dict[str, Floats]:
         """Covariates of n pointings by name, each (n,), in SI units or in the unit of the recording's column.
 
-        Unknown values are zero. Changes since the previous pointing are zero at the first pointing of a station.
+        Unknown values are 0. Changes since the previous pointing are 0 at the first pointing of a station.
         """
         place = self.target_points[self.target]
         has_previous = self.previous_pointing_indices >= 0
@@ -318,7 +314,7 @@ class Sightings:
 
     @cached_property
     def _incidence_angle_and_direction(self) -> tuple[Floats, Floats]:
-        """Values of `incidence_angle` and `incidence_direction` of n pointings, each (n,) [rad]."""
+        """Values (n,) [rad] of `incidence_angle` and of `incidence_direction` for n pointings."""
         x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
@@ -332,20 +328,20 @@ class Sightings:
 
     @property
     def incidence_angle(self) -> Floats:
-        """Incidence angle (n,) [rad] between beam and nest normal for n pointings; NaN if the normal is unknown."""
+        """Angle (n,) [rad] between the beam and the normal of the nest in n pointings; NaN if the normal is unknown."""
         return self._incidence_angle_and_direction[0]
 
     @property
     def incidence_direction(self) -> Floats:
-        """Direction (n,) [rad] to the station in n pointings, as an angle around the nest's normal.
+        """Direction (n,) [rad] to the station in n pointings, as an angle around the normal of the nest.
 
-        It is zero along the horizontal line in the plane of the nest's open side.
+        It is 0 along the horizontal line in the plane of the nest's open side.
         """
         return self._incidence_angle_and_direction[1]
 
 
 def _index_by_name(names: Sequence[str]) -> dict[str, list[int]]:
-    """Indices of all occurrences of each name in a sequence of names."""
+    """Indices of all occurrences of each name in `names`."""
     indices: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         indices.setdefault(name, []).append(i)

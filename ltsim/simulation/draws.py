@@ -232,7 +232,7 @@ class TrialDistributions:
         """Certified lengths (lengths, trials) [m], computed with the true expansion coefficient and temperature."""
         lengths = self.reference_lengths
         expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trial_numbers), axis=1)
-        for name, change in lengths.shared_error_changes.items():
+        for name, change in lengths.shared_error_shifts.items():
             expansion_factors += (change / (lengths.lengths / lengths.expansion_factors))[:, None] * normal_source(
                 1, name
             )

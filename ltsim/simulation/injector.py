@@ -201,7 +201,7 @@ class Injector:
 
     def added_noise_sigma(self, effect: NoiseEffect, parameter_values: Floats) -> Floats:
         """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3) [m, rad, rad]."""
-        sigma = self.recording.sigma()
+        sigma = self.recording.reading_sigmas()
         added = effect.variance(self.residual_space.sightings, sigma, parameter_values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
             raise ModelError(f"{effect.name} would reduce the noise of the recording; give larger values")

@@ -9,7 +9,7 @@ from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, construction_with_dh_orders, misalignment_construction
-from ltsim.recordings.recording import noise_sigma
+from ltsim.recordings.recording import reading_sigmas_from_noise
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, tracker_table_name
 from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
@@ -71,7 +71,9 @@ def true_noise_sigmas(scenario: Scenario, sightings: Sightings) -> Floats:
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
-    return factor[:, None] * noise_sigma(noise, sightings.instrument, sightings.range_, sightings.elevation)
+    return factor[:, None] * reading_sigmas_from_noise(
+        noise, sightings.instrument, sightings.range_, sightings.elevation
+    )
 
 
 def instrument_resolutions(scenario: Scenario) -> Floats:

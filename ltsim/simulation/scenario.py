@@ -324,7 +324,7 @@ def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_input_error():
-                SourceLocation(file).name(name, kind)
+                SourceLocation(file).checked_name(name, kind)
 
 
 def _invalid_tracker_sentences(scenario: Scenario) -> Iterator[str]:

@@ -6,7 +6,7 @@ from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import parse_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.settings import schemas_at
+from ltsim.recordings.settings import json_schemas_at
 from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
 
@@ -18,13 +18,15 @@ SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
 
 def value_type_of_key(dotted_key: str) -> ValueType:
     """Type of the value of a dotted key; `table` for a list, a table or an unknown key."""
-    kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
+    kinds = {
+        _schema_type(choice) for _, choices in json_schemas_at(Scenario, dotted_key.split(".")) for choice in choices
+    }
     return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
 
 
 def key_description(dotted_key: str) -> str:
     """Description of a dotted key from the scenario's documentation; empty for a key with a user-defined name."""
-    nodes = (node for node, _ in schemas_at(Scenario, dotted_key.split(".")))
+    nodes = (node for node, _ in json_schemas_at(Scenario, dotted_key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
 

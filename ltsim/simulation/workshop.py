@@ -13,7 +13,7 @@ from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import ThermalExpansion
-from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_hall, read_mesh
+from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_hall, read_cad_file
 from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, rotate_and_shift_triangles
 from ltsim.scene.visibility import (
     SightLimits,
@@ -241,7 +241,7 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
         elevation_max=limits.elevation_max_deg * DEGREE,
         range_min=limits.range_min_mm * MILLIMETRE,
         range_max=limits.range_max_mm * MILLIMETRE,
-        max_incidence=scenario.smr.acceptance_deg * DEGREE,
+        max_incidence_angle=scenario.smr.acceptance_deg * DEGREE,
         declared_shadow_cone_opening=None if cone is None else cone * DEGREE,
     )
 
@@ -283,7 +283,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     for i, entry in enumerate(scenario.workshop.obstacles, 1):
         cad = None
         if entry.file is not None:
-            cad = read_mesh(Path(entry.file), entry.unit, entry.up)
+            cad = read_cad_file(Path(entry.file), entry.unit, entry.up)
             triangles = cad.triangles
         elif entry.box_mm is not None:
             triangles = box_triangles(np.array(entry.box_mm) * MILLIMETRE)

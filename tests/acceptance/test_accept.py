@@ -394,7 +394,7 @@ def test_uncertainty_of_a_two_face_error_is_that_of_what_is_not_the_tracker():
     noisy = recording.replace(setup=setup)
     first = np.flatnonzero((recording.station == 0) & (recording.target == 0))
     factor = adjust(noisy).sigma0
-    across = noisy.sigma()[first, 2].max() * recording.readings[first[0], 0] * np.sqrt(2.0)
+    across = noisy.reading_sigmas()[first, 2].max() * recording.readings[first[0], 0] * np.sqrt(2.0)
     u = 2e6 * np.sqrt(factor**2 - 1) * across
     assert factor > 1.8 and expanded(noisy)["S1: T01 two-face"] == pytest.approx(u, rel=0.1)
 

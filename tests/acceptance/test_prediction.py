@@ -10,9 +10,9 @@ from ltsim.acceptance.prediction import AcceptancePlan
 from ltsim.acceptance.spec import asme_tests, iso_two_face_tests, points_around_instrument
 from ltsim.core.arrays import Floats
 from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
-from ltsim.recordings.specification import data_sheet
+from ltsim.recordings.specification import data_sheet_specification
 
-SHEET = data_sheet("leica-at500")
+SHEET = data_sheet_specification("leica-at500")
 URAD = MICROMETRE = 1e-6
 
 

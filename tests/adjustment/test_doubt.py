@@ -28,7 +28,7 @@ def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
     keep = recording.station < stations
     rows = {n: getattr(recording, n)[keep] for n in ("station", "target", "face", "repeat", "time", "readings")}
     recording = recording.replace(**rows, stations=recording.stations[:stations])
-    noise = random_stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.sigma()
+    noise = random_stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.reading_sigmas()
     return recording.with_readings(recording.readings + noise)
 
 
@@ -205,7 +205,7 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
     recording, where = on_a_line(off)
     rng, inside, trials = random_stream(2, "bent"), 0, 40
     for _ in range(trials):
-        noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
+        noise = rng.standard_normal(recording.readings.shape) * recording.reading_sigmas()
         found = adjust_from_state(recording.with_readings(recording.readings + noise), start_state=where)
         gap = found.state.station_positions[4] - where.station_positions[4]
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81

@@ -376,7 +376,7 @@ def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) 
     text = file.read_text()
     for old, new, says in (
         ('name = "A-B#2"\n', "", "another difference is named 'A-B', too; set a different name"),
-        ('from = "C"\n', 'from = "E"\n', "a difference from 'E' to itself"),
+        ('from = "C"\n', 'from = "E"\n', "the difference is from 'E' to itself"),
         ('from = "BM"\n', 'from = "BN"\n', "'BN' was never measured"),
     ):
         assert old in text

@@ -10,13 +10,13 @@ from ltsim.adjustment.blunders import correct_faces, correct_units
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, ColumnConversion
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WrongColumnConversion
 from tests.networks import network
 
 SLIPS = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
 
 
-def written(recording: Recording, rows: np.ndarray, slip: ColumnConversion) -> Recording:
+def written(recording: Recording, rows: np.ndarray, slip: WrongColumnConversion) -> Recording:
     """The recording with some rows written down in another unit."""
     readings = recording.readings.copy()
     readings[rows] = slip.with_error(readings[rows])

@@ -189,7 +189,7 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
     readings = MeasurementModel(recording, ideal_construction()).predict(
         dataclasses.replace(truth.state, station_positions=places)
     )
-    readings += recording.sigma() * random_stream(5, "noise").standard_normal(readings.shape)
+    readings += recording.reading_sigmas() * random_stream(5, "noise").standard_normal(readings.shape)
     kept = (recording.target != 5) | (recording.station < 2)
     recording = recording.with_readings(readings).select(kept)
     rows = np.flatnonzero(recording.target == 5)
@@ -313,7 +313,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
     )
     if seed is not None:
         noise = random_stream(seed, "noise").standard_normal(recording.readings.shape)
-        recording = recording.with_readings(recording.readings + recording.sigma() * noise)
+        recording = recording.with_readings(recording.readings + recording.reading_sigmas() * noise)
     return recording, marks
 
 
@@ -341,7 +341,7 @@ def test_a_start_off_the_marks_is_put_onto_them():
 
 def test_heights_of_single_pointings_and_horizontal_distances():
     recording, marks = total_stations()
-    heights = recording.heights()
+    heights = recording.heights_above_marks()
     stations = {n: s.model_copy(update={"instrument_height_mm": 0.0}) for n, s in recording.setup.stations.items()}
     columns = dict(zip(HEIGHT_COLUMNS, (1e3 * heights[0], 1e3 * heights[1]), strict=True))
     moved = with_setup(recording, stations=stations, targets={}).replace(covariates=columns)
@@ -423,7 +423,7 @@ def test_each_instrument_has_its_own_parameters():
     state = dataclasses.replace(truth.state, instrument_parameters=values)
     recording = recording.with_readings(MeasurementModel(recording, construction).predict(state))
     noise = random_stream(3, "noise").standard_normal(recording.readings.shape)
-    found = adjust(recording.with_readings(recording.readings + recording.sigma() * noise), construction)
+    found = adjust(recording.with_readings(recording.readings + recording.reading_sigmas() * noise), construction)
     for i in range(2):
         error = found.state.instrument_parameters[i] - values[i]
         normalised = error @ np.linalg.solve(found.instrument_covariance_of(i), error) / construction.n_parameters

@@ -271,7 +271,7 @@ def with_declared_noise(recording: Recording, factor: float) -> Recording:
 def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> None:
     """Four times the declared noise: points that define axes, and control points, are tested as if it were declared."""
     recording = network(seed=6, stations=3)[0]
-    sigma = recording.sigma()
+    sigma = recording.reading_sigmas()
     noisy = recording.with_readings(
         recording.readings + factor * sigma * random_stream(6, "more").standard_normal(sigma.shape)
     )
@@ -299,7 +299,7 @@ def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> N
 
 def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
     (tmp_path / "list.csv").write_text("name,x_m,y_m,z_m,sigma_mm\nP1,4.5,11.25,0.25,0.1\nP2,1.5,1.25,0.5,0.2\n")
-    np.testing.assert_allclose(read_points(tmp_path / "list.csv").sigma, np.outer([1e-4, 2e-4], np.ones(3)))
+    np.testing.assert_allclose(read_points(tmp_path / "list.csv").coordinate_sigmas, np.outer([1e-4, 2e-4], np.ones(3)))
 
 
 def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:

@@ -61,9 +61,9 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         "temperature of the gauge": [0, 11.5e-6, 1.2e-6, 0],
         "expansion of invar": [0, 0, 1.8e-6, 0],
     }
-    assert set(known.shared_error_changes) == set(expected)
+    assert set(known.shared_error_shifts) == set(expected)
     for name, change in expected.items():
-        np.testing.assert_allclose(known.shared_error_changes[name], change, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(known.shared_error_shifts[name], change, atol=1e-12, err_msg=name)
 
 
 def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: Recording) -> None:
@@ -72,8 +72,8 @@ def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: 
     stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
     assert ReferenceLengths.from_recording(stated).expansion_factors[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
     for wrong, said in (
-        (line("T01", "T02", measured_at_c="bar_k"), "not a column of numbers"),
-        (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
+        (line("T01", "T02", measured_at_c="bar_k"), "expected a column of numbers"),
+        (line("T03", "T04", measured_at_c="bar_c"), "contains no temperature in the pointings to T03 and T04"),
         (line("T01", "T02", material="brass"), "expected one of steel, invar"),
     ):
         with pytest.raises(RecordError, match=said):

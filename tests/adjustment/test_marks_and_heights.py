@@ -29,7 +29,7 @@ def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6,
     state = NetworkState(position, truth.state.station_rotations, mesh(), np.zeros((1, 0)))
     exact = stated.with_readings(MeasurementModel(stated, ideal_construction()).predict(state))
     noise = random_stream(seed, "noise").standard_normal(exact.readings.shape)
-    return exact.with_readings(exact.readings + exact.sigma() * noise)
+    return exact.with_readings(exact.readings + exact.reading_sigmas() * noise)
 
 
 def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:

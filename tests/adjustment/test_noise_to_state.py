@@ -41,7 +41,7 @@ def test_nothing_is_suggested_where_the_noise_is_right() -> None:
 
 def test_sigmas_of_rows_are_multiplied() -> None:
     recording = loud(1.0)
-    sigma = 3.0 * recording.sigma()[:, 0] * 1e3
+    sigma = 3.0 * recording.reading_sigmas()[:, 0] * 1e3
     columns = {**recording.covariates, SIGMA_COLUMNS[0]: np.where(np.isfinite(sigma), sigma, np.nan)}
     said = noise_declaration_advice(adjust(recording.replace(covariates=columns)))
     assert re.fullmatch(r"Multiply the sigmas of distance by 0\.[23]\d*\.", said), said

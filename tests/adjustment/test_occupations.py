@@ -58,7 +58,10 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), sp
         labels={"date": tuple(DAYS[d] for d in day)},
         has_clock=False,
     )
-    noisy = readings + recording.sigma() * rng.standard_normal(readings.shape) * np.where(other == 5, spire, 1)[:, None]
+    noisy = (
+        readings
+        + recording.reading_sigmas() * rng.standard_normal(readings.shape) * np.where(other == 5, spire, 1)[:, None]
+    )
     noisy[other == 5] *= np.array([np.nan, 1.0, np.nan])
     return recording.with_readings(noisy)
 

@@ -180,7 +180,7 @@ def without_normal(recording: Recording) -> Recording:
         ),
         (
             lambda r: with_setup(r.replace(labels={}), targets={}),
-            r"observations.csv, row 1, column reflector: no SMR is named here or in targets.T\d+.reflector",
+            r"observations.csv, row 1, column reflector: neither this cell nor targets.T\d+.reflector",
         ),
     ],
 )

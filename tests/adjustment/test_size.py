@@ -76,7 +76,7 @@ def tunnel(stations, each=50):
         NetworkState(position, rotation, points, np.zeros((1, 0)))
     )
     recording = recording.with_readings(exact)
-    return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
+    return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
 @pytest.mark.long

@@ -21,13 +21,13 @@ def noisy(seed: int, scale=(1.0, 1.0, 1.0), **options):
     """A network whose noise is the stated one times `scale` by observable."""
     recording, _ = network(values=drawn(TRACKER, seed), **options)
     noise = random_stream(seed, "noise").standard_normal(recording.readings.shape)
-    return recording.with_readings(recording.readings + recording.sigma() * noise * np.array(scale))
+    return recording.with_readings(recording.readings + recording.reading_sigmas() * noise * np.array(scale))
 
 
 def spoiled(recording, where, sizes):
     readings = recording.readings.copy()
     for (i, j), size in zip(where, sizes, strict=True):
-        readings[i, j] += size * recording.sigma()[i, j]
+        readings[i, j] += size * recording.reading_sigmas()[i, j]
     return recording.with_readings(readings)
 
 
@@ -56,7 +56,7 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     zero, rows = np.zeros(len(target), dtype=np.int64), np.arange(len(target))
     recording = Recording(Setup(), ("S",), ("A", "B", "C", "D"), zero, target, zero + 1, rows, rows * 1.0, place)
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
-    found = adjust(recording.with_readings(place + scatter * recording.sigma()))
+    found = adjust(recording.with_readings(place + scatter * recording.reading_sigmas()))
     assert found.noisy_targets_and_scatter[0].tolist() == [3, 2]
     assert [
         (one.pointing_index, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)
@@ -165,7 +165,7 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     recording = recording.replace(setup=setup)
     scale = np.where(recording.instrument[:, None] == 1, 3.0, 1.0)
     noise = random_stream(6, "noise").standard_normal(recording.readings.shape)
-    recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
+    recording = recording.with_readings(recording.readings + recording.reading_sigmas() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
     found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")
     assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected_reading)}

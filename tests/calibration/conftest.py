@@ -83,7 +83,9 @@ def make() -> Make:
             time=np.arange(len(grid), dtype=np.float64),
             readings=readings,
         )
-        return recording.with_readings(readings + noise * recording.sigma() * rng.standard_normal(readings.shape))
+        return recording.with_readings(
+            readings + noise * recording.reading_sigmas() * rng.standard_normal(readings.shape)
+        )
 
     return measured
 

@@ -74,7 +74,7 @@ def test_derivatives_equal_differences(make, drawn) -> None:
         slope = (ahead - back) / (2 * step)
         assert np.allclose(rows.derivatives_by_unknowns[:, k], slope, atol=1e-4 * np.abs(slope).max())
     noise = 1e-2 * random_stream(1, "e").standard_normal((len(recording), 3))
-    moved = problem_of(recording.with_readings(recording.readings + noise * recording.sigma()))
+    moved = problem_of(recording.with_readings(recording.readings + noise * recording.reading_sigmas()))
     change = mean_deviation_comparisons(moved, moved.distances_at(at)).residuals - rows.residuals
     linear = rows.derivatives_by_noise[:, : noise.size] @ noise.ravel()
     assert np.allclose(change, linear, atol=1e-3 * np.abs(linear).max())

@@ -125,7 +125,7 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
 
 
 def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt.Recording, tmp_path: Path) -> None:
-    noise = random_stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.sigma()
+    noise = random_stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.reading_sigmas()
     calibration = lt.calibrate(plain.with_readings(plain.readings + noise), advise=False)
     lt.write(calibration, tmp_path)
     for source in (calibration, tmp_path):

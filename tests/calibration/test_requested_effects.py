@@ -27,7 +27,7 @@ RATE = 40e-6 / 3600
 @pytest.fixture(scope="module")
 def drifting() -> Recording:
     recording = network(faces=2, seed=5, values=drawn(misalignment_construction(), 5))[0]
-    readings = recording.readings + recording.sigma() * random_stream(5, "beside").standard_normal(
+    readings = recording.readings + recording.reading_sigmas() * random_stream(5, "beside").standard_normal(
         recording.readings.shape
     )
     there = recording.station == 2

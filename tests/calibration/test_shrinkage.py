@@ -87,7 +87,7 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
 def test_a_recording_that_tells_nothing_corrects_nothing_and_says_so() -> None:
     recording = with_prior(network(seed=4)[0], 1000.0, noise=200.0)
     noise = random_stream(5, "noise").standard_normal(recording.readings.shape)
-    found = lt.calibrate(recording.with_readings(recording.readings + recording.sigma() * noise), advise=False)
+    found = lt.calibrate(recording.with_readings(recording.readings + recording.reading_sigmas() * noise), advise=False)
     assert found.correction is not None
     assert np.linalg.norm(found.applied_values / SIGMA) < 0.2 * np.linalg.norm(found.estimates / SIGMA)
     assert any("increase the errors of new points" in s for s in found.correction.sentences)
@@ -117,7 +117,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
         seen.append(cloud_error(recording, measured_points(recording), truth.state.target_points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
-    stated = point_noise_rms(recording, recording.sigma())
+    stated = point_noise_rms(recording, recording.reading_sigmas())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_error_um == pytest.approx(1e6 * stated)
@@ -210,7 +210,7 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
         recording, _ = network(values=values)
         stated = with_prior(recording, factor, noise)
         draw = random_stream(seed, "noise").standard_normal(recording.readings.shape)
-        found = lt.calibrate(stated.with_readings(recording.readings + stated.sigma() * draw), advise=False)
+        found = lt.calibrate(stated.with_readings(recording.readings + stated.reading_sigmas() * draw), advise=False)
         assert found.adjustment is not None
         by_value = point_error_matrix(found.adjustment)
         gap = found.applied_values[0] - values

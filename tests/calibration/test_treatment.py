@@ -27,7 +27,7 @@ def spoiled(make):
     recording = make(np.zeros(16), faces=(1, 2))
     extra = np.random.default_rng(8).standard_normal(len(recording))
     readings = recording.readings.copy()
-    readings[:, 0] += np.sqrt(3.0) * recording.sigma()[:, 0] * extra
+    readings[:, 0] += np.sqrt(3.0) * recording.reading_sigmas()[:, 0] * extra
     for row, column, size in ((16, 0, 150e-6), (40, 1, 40e-6), (90, 2, -50e-6)):
         readings[row, column] += size
     return recording.with_readings(readings)
@@ -53,7 +53,7 @@ def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     assert list(rows) == ["distance", "azimuth", "elevation"]
     for name, truth in (("distance", 2.0), ("azimuth", 1.0), ("elevation", 1.0)):
         assert abs(rows[name]["factor"] - truth) < 3.5 * rows[name]["factor_sigma"]
-    stated = np.median(spoiled.sigma()[:, 0])
+    stated = np.median(spoiled.reading_sigmas()[:, 0])
     assert rows["distance"]["median_sigma"] == pytest.approx(rows["distance"]["factor"] * stated * 1e3, rel=0.01)
     assert rows["distance"]["unit"] == "mm"
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.03)

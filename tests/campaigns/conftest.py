@@ -47,7 +47,7 @@ def truth_of(
         instruments=("",),
         instrument_means=np.zeros_like(sigma),
         instrument_sigmas=scale * sigma,
-        noise_sigmas=recording.sigma(),
+        noise_sigmas=recording.reading_sigmas(),
         reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=recording.targets,
         effects=effects,

@@ -68,7 +68,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     gap = truth.trial_readings(block, TRIAL) - recording.readings
     gap[:, 1:] = wrap_angle(gap[:, 1:])
     step = truth.resolution[0]
-    assert np.all(np.abs(gap) <= 1e-3 * recording.sigma() + 1.001 * step)
+    assert np.all(np.abs(gap) <= 1e-3 * recording.reading_sigmas() + 1.001 * step)
     assert np.mean(np.abs(gap) > 0.5 * step) < 0.02
     np.testing.assert_array_equal(block.instrument_values[0, :, TRIAL], list(true.instrument_values.values()))
     np.testing.assert_array_equal(block.effect_values[0][:, TRIAL], true.applied_effects[0].parameter_values)

@@ -129,7 +129,7 @@ def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings
 
 def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:
     recording, _ = network(faces=2, seed=9)
-    noise = recording.sigma() * np.random.default_rng(3).standard_normal(recording.readings.shape)
+    noise = recording.reading_sigmas() * np.random.default_rng(3).standard_normal(recording.readings.shape)
     write(recording.with_readings(recording.readings + 2 * noise), tmp_path / "noisy")
     names = [str(source), str(tmp_path / "noisy")]
     fits = {}

@@ -45,7 +45,9 @@ def trackers(count: int, name: str, off: float, faces: int) -> Recording:
         truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
     )
     exact = MeasurementModel(recording, built).predict(state)
-    return recording.with_readings(exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape))
+    return recording.with_readings(
+        exact + recording.reading_sigmas() * random_stream(8, "noise").standard_normal(exact.shape)
+    )
 
 
 def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of_the_adjustment():
@@ -115,7 +117,7 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     )
     exact = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(
-        exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape)
+        exact + recording.reading_sigmas() * random_stream(8, "noise").standard_normal(exact.shape)
     )
     found = find_contradictions(adjust(recording, built)).contradictions
     (both,) = found

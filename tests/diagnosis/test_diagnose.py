@@ -265,7 +265,7 @@ def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
 
 def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7, repeats=1)
-    extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
+    extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.reading_sigmas()
     extra[recording.station != 1] = 0.0
     found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
     assert [f.effect for f in found.findings] == ["station-noise"]
@@ -277,7 +277,7 @@ def test_a_noisy_station_is_noise_and_not_a_shift():
 def test_noise_of_the_azimuth_is_told_in_the_azimuth():
     recording, _ = workshop(19, faces=2)
     readings = recording.readings.copy()
-    readings[:, 1] += 2.0 * random_stream(19, "more").standard_normal(len(readings)) * recording.sigma()[:, 1]
+    readings[:, 1] += 2.0 * random_stream(19, "more").standard_normal(len(readings)) * recording.reading_sigmas()[:, 1]
     found = diagnose(recording.with_readings(readings))
     assert [f.where.observables for f in found.findings] == [("azimuth",)]
 
@@ -389,7 +389,8 @@ def test_turbulence_is_told_from_a_higher_noise_level():
     sightings = sightings_at_state(recording, state)
     effect = find_effect("turbulence")()
     grown = np.sqrt(
-        effect.variance(sightings, recording.sigma(), np.array([1.2e-12, 0.6e-12])) - recording.sigma() ** 2
+        effect.variance(sightings, recording.reading_sigmas(), np.array([1.2e-12, 0.6e-12]))
+        - recording.reading_sigmas() ** 2
     )
     extra = grown * random_stream(17, "air").standard_normal(grown.shape)
     found = diagnose(recording.with_readings(recording.readings + extra))

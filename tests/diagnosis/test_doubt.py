@@ -31,7 +31,7 @@ from tests.networks import network
 def changed(recording, row, column, sigmas):
     """A recording with one reading that is off."""
     readings = recording.readings.copy()
-    readings[row, column] += sigmas * recording.sigma()[row, column]
+    readings[row, column] += sigmas * recording.reading_sigmas()[row, column]
     return recording.with_readings(readings)
 
 
@@ -58,8 +58,8 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert told.where.observables == (("distance", "azimuth", "elevation")[column],)
     (size,) = told.parameters
     unit = 1e-3 if column == 0 else ARCSECOND
-    assert size.value * unit == pytest.approx(15.0 * recording.sigma()[row, column], rel=0.25)
-    assert size.sigma * unit == pytest.approx(recording.sigma()[row, column] / np.sqrt(redundancy), rel=1e-3)
+    assert size.value * unit == pytest.approx(15.0 * recording.reading_sigmas()[row, column], rel=0.25)
+    assert size.sigma * unit == pytest.approx(recording.reading_sigmas()[row, column] / np.sqrt(redundancy), rel=1e-3)
     change = diagnosis.modelled_reading_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
@@ -123,7 +123,9 @@ def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
 def test_noise_that_differs_from_target_to_target_is_one_finding():
     recording, _ = workshop(5)
     times = np.exp(random_stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
-    more = random_stream(6, "scatter").standard_normal((len(recording), 3)) * recording.sigma() * times[:, None]
+    more = (
+        random_stream(6, "scatter").standard_normal((len(recording), 3)) * recording.reading_sigmas() * times[:, None]
+    )
     found = diagnose(recording.with_readings(recording.readings + more)).findings
     assert found[0].effect == "unknown"
     assert found[0].driver == "target"
@@ -196,7 +198,7 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
 def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     """Three of five set-ups are restless, each in another observable: no single one explains the others."""
     recording, _ = network(repeats=2, seed=9)
-    sigma = recording.sigma().copy()
+    sigma = recording.reading_sigmas().copy()
     louder = np.ones_like(sigma)
     for station, column in ((1, 0), (2, 1), (4, 2)):
         louder[recording.station == station, column] = 5.0
@@ -244,7 +246,7 @@ def test_a_finding_that_few_readings_carry_names_them():
 def test_every_probable_finding_is_reported():
     """A wrong reading is reported beside larger noise of all readings."""
     recording, _ = workshop(4)
-    more = 2.5 * recording.sigma() * random_stream(5, "louder").standard_normal((len(recording), 3))
+    more = 2.5 * recording.reading_sigmas() * random_stream(5, "louder").standard_normal((len(recording), 3))
     recording = changed(recording.with_readings(recording.readings + more), 40, 0, 100.0)
     both = diagnose(recording)
     assert {f.effect for f in both.findings} == {"outlier", "noise-level"}

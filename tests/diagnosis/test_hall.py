@@ -35,7 +35,7 @@ def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float
     recording, adjustment = clean
     space = ResidualSpace.from_adjustment(adjustment)
     design_columns = np.zeros((space.n_equations, 1))
-    design_columns[: int(space.is_used_reading.sum()), 0] = (change / recording.sigma())[space.is_used_reading]
+    design_columns[: int(space.is_used_reading.sum()), 0] = (change / recording.reading_sigmas())[space.is_used_reading]
     factor = np.sqrt(strength) / np.linalg.norm(space.project(design_columns))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
     assert diagnosis.verdict == "mismatch"

@@ -34,7 +34,9 @@ def trackers(off: float, *, corrected: bool = False) -> Recording:
         truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
     )
     exact = MeasurementModel(recording, built).predict(state)
-    return recording.with_readings(exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape))
+    return recording.with_readings(
+        exact + recording.reading_sigmas() * random_stream(8, "noise").standard_normal(exact.shape)
+    )
 
 
 @pytest.mark.long
@@ -79,7 +81,7 @@ def test_combinations_are_known_where_single_constants_are_not():
 def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
     recording = trackers(0.0)
     far = recording.readings[:, 0] / recording.readings[:, 0].max()
-    scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.sigma()[:, 0]
+    scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.reading_sigmas()[:, 0]
     readings = recording.readings.copy()
     readings[:, 0] += scatter * random_stream(9, "scatter").standard_normal(len(recording))
     found = diagnose(recording.with_readings(readings))
@@ -96,7 +98,7 @@ def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
     way = recording.readings[:, 0] / recording.readings[:, 0].max()
     curve = np.where(recording.instrument == 0, np.sin(5.0 * way), -np.cos(7.0 * way))
     readings = recording.readings.copy()
-    readings[:, 1] += 3.0 * recording.sigma()[:, 1] * curve
+    readings[:, 1] += 3.0 * recording.reading_sigmas()[:, 1] * curve
     first = diagnose(recording.with_readings(readings)).findings[0]
     assert first.carrier == "azimuth"
     assert first.formula == "azimuth correction follows a smooth function of distance, separately for each instrument"

@@ -33,7 +33,7 @@ def one_station(repeats: int) -> Recording:
         readings=to_face(np.stack(ranges, axis=1)[target], face),
         setup=Setup(),
     )
-    return recording.with_readings(recording.readings + recording.sigma() * rng.standard_normal((count, 3)))
+    return recording.with_readings(recording.readings + recording.reading_sigmas() * rng.standard_normal((count, 3)))
 
 
 def peak(repeats: int) -> int:

@@ -268,12 +268,12 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
 def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(factor: float) -> None:
     """Noise of 1000 times the declared was reported as 20 times, and effects were sought in the rest for a minute."""
     recording, truth = network(faces=2, seed=3)
-    drawn = factor * recording.sigma() * random_stream(1, "noise").standard_normal(recording.readings.shape)
+    drawn = factor * recording.reading_sigmas() * random_stream(1, "noise").standard_normal(recording.readings.shape)
     noisy = recording.replace(readings=recording.readings + drawn)
     adjusted = adjust_from_state(noisy, misalignment_construction(), start_state=truth.state)
     state = SelectionState.from_adjustment(adjusted, adjusted.problem.is_used_reading, 0, None)
     level = next(h for _, h in state.ranked_noise_changes(state.empty_model) if h.effect.name == "noise-level")
-    found = with_estimated_sizes(state.space, noisy.sigma(), level)
+    found = with_estimated_sizes(state.space, noisy.reading_sigmas(), level)
     np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)
 
 

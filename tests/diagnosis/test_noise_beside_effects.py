@@ -24,7 +24,7 @@ def with_noisy_and_moved_target(seed: int) -> Recording:
     moved = TargetMoved((), ("T06",), time=float(np.median(recording.time)))
     readings = recording.readings + moved.reading_change(adjust(recording).sightings, DISPLACEMENT)
     is_noisy = recording.target == recording.targets.index("T01")
-    added_sigma = np.sqrt(NOISE_FACTOR**2 - 1.0) * recording.sigma()[is_noisy]
+    added_sigma = np.sqrt(NOISE_FACTOR**2 - 1.0) * recording.reading_sigmas()[is_noisy]
     readings[is_noisy] += added_sigma * random_stream(seed, "noisy").standard_normal((int(is_noisy.sum()), 3))
     return recording.with_readings(readings)
 

@@ -45,7 +45,7 @@ def monitoring(epochs: int, rate: float) -> Recording:
         sightings_at_state(recording, state), np.array([rate])
     )
     noise = random_stream(6, "monitoring").standard_normal(exact.shape)
-    return recording.with_readings(exact + recording.sigma() * noise)
+    return recording.with_readings(exact + recording.reading_sigmas() * noise)
 
 
 def ring(stations: int, instruments: int = 4) -> Recording:

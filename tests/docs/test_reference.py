@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 from ltsim.core.descriptions import field_descriptions
-from ltsim.recordings.native import BASIC_COLUMNS, COLUMN_BOUNDS, ENUMERATED_COLUMNS
+from ltsim.recordings.native import COLUMN_VALUE_BOUNDS, ENUMERATED_COLUMNS, STANDARD_COLUMNS
 from ltsim.reports.schemas import MODEL_BY_FILE_NAME
 from tests.conftest import ROOT
 
@@ -50,4 +50,6 @@ def test_every_file_has_a_page_of_its_keys(file: str) -> None:
 
 def test_every_column_of_a_recording_is_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
-    assert [name for name in {*BASIC_COLUMNS, *COLUMN_BOUNDS, *ENUMERATED_COLUMNS} if f"`{name}`" not in page] == []
+    assert [
+        name for name in {*STANDARD_COLUMNS, *COLUMN_VALUE_BOUNDS, *ENUMERATED_COLUMNS} if f"`{name}`" not in page
+    ] == []

@@ -159,7 +159,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     )
     for i in range(60):
         rng = random_stream(5, "spread", i)
-        error = rng.standard_normal(recording.readings.shape) * recording.sigma()
+        error = rng.standard_normal(recording.readings.shape) * recording.reading_sigmas()
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))

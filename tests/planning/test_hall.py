@@ -168,10 +168,10 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
         ("name,x_mm,y_mm,z_mm,colour\nA,1,2,3,red\n", "has the unknown column 'colour'"),
         ("name,x_mm,y_mm,z_mm\nA,1,2\n", "3 fields, expected 4 as in the header"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,x\n", "z_mm"),
-        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "the point A was listed before"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "the point A occurs again"),
         ("name,x_mm,y_mm,z_mm,tolerance_mm\nA,1,2,3,0\n", "found 0, expected a positive number"),
         ("name,x_mm,y_mm,z_mm,tolerance_mm\nA,1,2,3,1e-320\n", "tolerance_mm: found 1e-320: it should be at least"),
-        ("name,x_mm,y_mm,z_mm\n", "holds no points"),
+        ("name,x_mm,y_mm,z_mm\n", "contains no points"),
     ],
 )
 def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:

@@ -44,7 +44,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         state = NetworkState(made.station_positions, made.station_rotations, made.target_points, values[None])
         readings = MeasurementModel(clean, construction).predict(state)
         readings = readings + effect.reading_change(information.adjustment.sightings, rng.normal(size=len(size)) * size)
-        readings = readings + rng.normal(size=readings.shape) * clean.sigma()
+        readings = readings + rng.normal(size=readings.shape) * clean.reading_sigmas()
         gauge = clean.gauge
         lengths = tuple(
             d.model_copy(update={"length_mm": d.length_mm + rng.normal() * d.sigma_mm}) for d in gauge.distance

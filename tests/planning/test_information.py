@@ -35,7 +35,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     made = survey()
     information = ExpectedPrecision.from_survey(made)
     recording = made.noise_free_recording(misalignment_construction())
-    noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
+    noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.reading_sigmas()
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
     sigma = np.sqrt(np.diag(solved.first_instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)

@@ -207,11 +207,11 @@ def test_fixed_nests_are_served_by_all_stations() -> None:
     where = site(is_aimed_nest=aimed)
     made = searcher(where).search_from(0, 1)
     half = nest_normals_of_smallest_incidence(made.positions, where.survey.target_points)[1]
-    assert half.max() <= where.sight_limits.max_incidence
+    assert half.max() <= where.sight_limits.max_incidence_angle
     free = searcher(site()).search_from(0, 1)
     assert (
         nest_normals_of_smallest_incidence(free.positions, where.survey.target_points)[1].max()
-        > where.sight_limits.max_incidence
+        > where.sight_limits.max_incidence_angle
     )
 
 

@@ -79,7 +79,7 @@ def test_a_file_is_understood(tmp_path: Path) -> None:
     recording = read(sample(tmp_path / "a.lgc"))
     assert recording.stations == ("HALL.S1.", "HALL.S2.", "HALL.S2.#2")
     assert recording.setup.title == "Réseau d'essai"
-    readings, sigma = recording.readings, recording.sigma()
+    readings, sigma = recording.readings, recording.reading_sigmas()
     np.testing.assert_allclose(readings[0], [5.5, (400 - 100.5) * GON, -1.0 * GON])
     np.testing.assert_allclose(readings[1], [15.25, (400 - 300.25) * GON, 1.0 * GON])
     np.testing.assert_allclose(readings[2], [5.6, (400 - 100.6) * GON, -1.1 * GON])
@@ -88,8 +88,8 @@ def test_a_file_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(readings[3], [15.0, (400 - 20) * GON, 0], atol=1e-12)
     np.testing.assert_allclose(sigma[3], [0.5e-3 + 6e-6 * 15, 7e-4 * GON, 8e-4 * GON])
     np.testing.assert_allclose(sigma[4, 0], 0.02e-3 + 6e-6 * 6.0)
-    assert recording.is_horizontal[-1]
-    instrument, target = recording.heights()
+    assert recording.is_horizontal_distance[-1]
+    instrument, target = recording.heights_above_marks()
     np.testing.assert_allclose(instrument, [0.1] * 3 + [0] * 4)
     np.testing.assert_allclose(target, [0.07, 0.03, 0.07, 0.03, 0.03, 0.03, 0.03])
 
@@ -122,7 +122,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     ("old", "new", "says"),
     [
         ("*END\n", "", "without *END and is incomplete"),
-        ("*TSTN HALL.S1. AT402.1", "*TSTN HALL.S1. AT999.9", "declared as *POLAR"),
+        ("*TSTN HALL.S1. AT402.1", "*TSTN HALL.S1. AT999.9", "that *POLAR declares"),
         ("*TSTN HALL.S1.", "*TSTN HALL.S9.", "no block of points declares"),
         ("HALL.P1. 100.5", "HALL.PX. 100.5", "in no block of points"),
         ("HALL.P1. 100.5", "HALL.P1. abc", "expected a number"),
@@ -231,7 +231,7 @@ def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("SX 0 SZ 2", "BEAR 10 SX 1", "standard deviations in axes rotated by BEAR are not read"),
+        ("SX 0 SZ 2", "BEAR 10 SX 1", "which is not supported; use APRICOV"),
         ("MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)", "DIAG(1,2)", "expected DIAG"),
         ("MAT(4e-6,1e-6,0", "MAT(4e-6,2e-6,0", "expected DIAG"),
         ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 2", "three standard deviations"),

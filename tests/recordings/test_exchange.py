@@ -72,8 +72,8 @@ def test_unknown_things(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("nothing that anybody knows\n")
     (tmp_path / "b.txt").write_bytes(bytes(range(256)))
     for path, says in (
-        (tmp_path / "a.txt", "has none of the formats"),
-        (tmp_path / "b.txt", "has none"),
+        (tmp_path / "a.txt", "is in none of the formats"),
+        (tmp_path / "b.txt", "in none"),
         (tmp_path / "c", "no such"),
     ):
         with pytest.raises(RecordError, match=says):

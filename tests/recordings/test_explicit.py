@@ -19,7 +19,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings import Hints, read
-from ltsim.recordings.conventions import mirror_image_sentences
+from ltsim.recordings.conventions import mirror_image_warnings
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import read_setup
@@ -107,11 +107,11 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
         found.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
     )
     assert any("converted to distance, azimuth and elevation" in note for note in found.notes)
-    with pytest.raises(RecordError, match="already in one frame; export them in the axes of each instrument"):
+    with pytest.raises(RecordError, match="thus in one frame; export them in the axes of each instrument"):
         read(places(tmp_path / "b.csv", one_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
     list_ = file_of(tmp_path, "\n".join(rows) + "\n", "d.csv")
-    with pytest.raises(RecordError, match=r"list of 6 points without readings.*--hint station=NAME"):
+    with pytest.raises(RecordError, match=r"list of 6 points without instrument readings.*--hint station=NAME"):
         read(list_)
     alone = read(list_, format="table", hints=Hints(station="S9"))
     assert (alone.stations, len(alone)) == (("S9",), 6)
@@ -194,7 +194,7 @@ def test_lists_of_coordinates(
     found = read_points(file_of(tmp_path, content))
     assert found.names[0] == name
     np.testing.assert_allclose(found.points[0], places)
-    np.testing.assert_allclose(found.sigma[0], sigma or [np.nan] * 3)
+    np.testing.assert_allclose(found.coordinate_sigmas[0], sigma or [np.nan] * 3)
 
 
 def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) -> None:
@@ -209,8 +209,8 @@ def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) ->
     [
         ("wrong,thing\n1,2\n", "is not a list of coordinates, expected a header that names the point"),
         ("name,x_mm,y_mm,z_mm\nA,1,x,3\n", "row 2, column y_mm: found 'x', expected a number"),
-        ("name,x_mm,y_mm,z_mm\n", "holds no points"),
-        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "row 3: the point A was listed before with other coordinates"),
+        ("name,x_mm,y_mm,z_mm\n", "contains no points"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "row 3: the point A occurs again with different coordinates"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,3,4\n", "5 fields, expected 4 as in the header"),
     ],
 )
@@ -303,11 +303,11 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
         for i, name in enumerate(one.stations)
     }
     one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
-    assert not mirror_image_sentences(one)
-    mirrored = mirror_image_sentences(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
+    assert not mirror_image_warnings(one)
+    mirrored = mirror_image_warnings(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
     assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
-    found = mirror_image_sentences(workshop().with_readings(one.readings * second))
+    found = mirror_image_warnings(workshop().with_readings(one.readings * second))
     assert found == (
         "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of these stations "
         "run clockwise",

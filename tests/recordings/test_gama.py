@@ -65,8 +65,8 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
     readings = recording.readings
     np.testing.assert_allclose(readings[0], [10.05, -10 * GON, np.pi / 2 - 101 * GON])
     np.testing.assert_allclose(readings[1], [7.07, -60.5 * GON, np.pi / 2 - np.radians(95 + 30 / 60 + 30 / 3600)])
-    assert list(recording.is_horizontal) == [False, True, *[False] * 5]
-    sigma = recording.sigma()
+    assert list(recording.is_horizontal_distance) == [False, True, *[False] * 5]
+    sigma = recording.reading_sigmas()
     np.testing.assert_allclose(sigma[0], [0.0015, 3e-4 * GON, 4e-4 * GON])
     np.testing.assert_allclose(sigma[1, 1:], [9e-4 * GON, 4.0 * ARCSECOND])
     np.testing.assert_allclose(sigma[5:, 1], [10e-4 * GON, 10e-4 * GON])
@@ -123,7 +123,7 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     )
     (shared,) = shared_errors(correlated)
     reach = shared.reading_changes_per_sigma[2:5, 1]
-    spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
+    spread = np.diag(correlated.reading_sigmas()[2:5, 1] ** 2) + reach @ reach.T
     np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)
     assert np.count_nonzero(shared.reading_changes_per_sigma) == np.count_nonzero(reach) == 2
     assert not {*correlated.regressor_covariates}
@@ -183,7 +183,7 @@ def test_deep_nesting(tmp_path: Path) -> None:
 def test_other_xml(tmp_path: Path) -> None:
     file = tmp_path / "n.xml"
     file.write_text('<?xml version="1.0"?><html/>')
-    with pytest.raises(RecordError, match="has none of the formats"):
+    with pytest.raises(RecordError, match="is in none of the formats"):
         read(file)
     with pytest.raises(RecordError, match="expected <gama-local>"):
         read(file, format="gama-local")
@@ -214,9 +214,9 @@ def agree(one: Recording, other: Recording) -> None:
     turn = np.mod(one.readings[:, 1] - other.readings[:, 1] + 1, 2 * np.pi) - 1
     np.testing.assert_allclose(turn[np.isfinite(turn)], 0, atol=1e-12)
     assert np.array_equal(one.is_measured, other.is_measured)
-    ratio = one.sigma() / other.sigma()
+    ratio = one.reading_sigmas() / other.reading_sigmas()
     np.testing.assert_allclose(ratio[one.is_measured], 1, rtol=1e-12)
-    for mine, theirs in zip(one.heights(), other.heights(), strict=True):
+    for mine, theirs in zip(one.heights_above_marks(), other.heights_above_marks(), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
@@ -310,7 +310,7 @@ def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
     text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
     (tmp_path / "a.gkf").write_text(text)
     found = read(tmp_path / "a.gkf")
-    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal[1]
+    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal_distance[1]
     targets = found.setup.targets
     assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
     assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)

@@ -68,7 +68,7 @@ def test_missing_and_horizontal(tmp_path: Path) -> None:
     text = "110002+00000A12 21.322+01000000 22.322+-------- 32..00+00012345\n"
     recording = read(gsi(tmp_path / "n.gsi", text), hints=Hints(station="P"))
     assert np.isnan(recording.readings[0, 2])
-    assert recording.is_horizontal[0]
+    assert recording.is_horizontal_distance[0]
     assert recording.stations == ("P",)
 
 
@@ -78,7 +78,7 @@ def test_missing_and_horizontal(tmp_path: Path) -> None:
         (
             "*410001+0000000000000021 42....+000000000000BP04 43....+0000000000001538\n",
             "",
-            "precedes the first named station",
+            "is before the first station",
         ),
         ("21.322+0000000016901313", "21.329+0000000016901313", "unit code '9' of an angle"),
         ("31..00+0000000000029462", "31..05+0000000000029462", "unit code '5' of a length"),

@@ -469,7 +469,7 @@ def noisy_monitoring(rows: int, folder: Path) -> Path:
 
 def write_noisy(rows: int, folder: str) -> None:
     recording = read(monitoring(rows, Path(folder, "a.csv")))
-    noise = np.random.default_rng(7).normal(size=recording.readings.shape) * recording.sigma()
+    noise = np.random.default_rng(7).normal(size=recording.readings.shape) * recording.reading_sigmas()
     lt.write(recording.with_readings(recording.readings + noise), Path(folder, "recording"))
 
 

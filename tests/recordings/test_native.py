@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings.centring_errors import CentringUncertainty
-from ltsim.recordings.native import MAX_COMPARED_NAMES, _similar_names_phrase, read_recording, write_recording
+from ltsim.recordings.native import MAX_NAME_COMPARISONS, _similar_names_phrase, read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import read_setup, setup_to_toml
 from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Prior, Setup, Station, Target
@@ -151,9 +151,9 @@ def test_an_empty_row_of_readings(folder: Path) -> None:
     [
         ("repeat", "face", "column face: this column appears twice"),
         ("distance_mm", "distance", "required column distance_mm is missing"),
-        ("azimuth_deg", "azimuth_gon", "unit 'gon' is not one of this format, expected azimuth_deg"),
-        ("distance_mm", "distance_m", "unit 'm' is not one of this format, expected distance_mm"),
-        ("time_s", "time_h", "expected time_s"),
+        ("azimuth_deg", "azimuth_gon", "unit 'gon' is not permitted here, expected the column azimuth_deg"),
+        ("distance_mm", "distance_m", "unit 'm' is not permitted here, expected the column distance_mm"),
+        ("time_s", "time_h", "expected the column time_s"),
         ("time_s", "", "has no name"),
         ("repeat", "<script>", "markup"),
         ("repeat", "distance_mode", "row 1, column distance_mode: found '1', expected adm or ifm"),
@@ -167,8 +167,8 @@ def test_a_wrong_header(folder: Path, old: str, new: str, says: str) -> None:
 @pytest.mark.parametrize(
     ("column", "change", "says"),
     [
-        ("distance_mm", lambda v: v / 1000, "looks like metres"),
-        ("elevation_deg", lambda v: v / 0.9, "looks like gon"),
+        ("distance_mm", lambda v: v / 1000, "appear to be in metres"),
+        ("elevation_deg", lambda v: v / 0.9, "as they do for gon"),
     ],
 )
 def test_a_column_in_another_unit(folder: Path, column: str, change, says: str) -> None:
@@ -180,7 +180,7 @@ def test_zenith_angles_in_degrees(folder: Path) -> None:
     for row in range(1, 25):
         back = row % 2 == 0
         set_cell(folder, row, "elevation_deg", "269.5" if back else "90.5")
-    assert "looks like zenith angles" in refusal(folder)
+    assert "as they do for zenith angles" in refusal(folder)
 
 
 def test_semicolons(folder: Path) -> None:
@@ -194,7 +194,7 @@ def test_radians(tmp_path: Path, faces: int) -> None:
     write_recording(workshop(faces=faces), tmp_path)
     for column in ("azimuth_deg", "elevation_deg"):
         scale_column(tmp_path, column, np.radians)
-    assert "looks like radians" in refusal(tmp_path)
+    assert "radians" in refusal(tmp_path)
 
 
 def test_small_angles_that_are_degrees(tmp_path: Path) -> None:
@@ -458,11 +458,11 @@ def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) 
     said = '\n[stations.S1]\nover = "T11"\n\n[targets.NOPE]\ndatum = true\n\n[targets.T0]\nknown_mm = [1.0, 2.0, 3.0]\n'
     setup.write_text(f"{setup.read_text()}{said}\n[stations.s1]\nyaw_deg = 3.0\n")
     over, station, datum, known = read_recording(folder).notes
-    assert over.startswith("stations.S1.over names 'T11', which no pointing and no other set-up names")
+    assert over.startswith("stations.S1.over is 'T11', a mark that no pointing and no other set-up names")
     assert over.endswith("did you mean T1?")
-    assert station == "no pointing is from station s1: the table stations.s1 has no effect; did you mean S1?"
-    assert datum == "targets.NOPE is left out of the datum, because it was never measured"
-    assert known.startswith("targets.T0 has known coordinates, but was never measured; did you mean ")
+    assert station == "station s1 has no pointings: the table stations.s1 has no effect; did you mean S1?"
+    assert datum == "target NOPE is not used for the datum, because it was never measured"
+    assert known.startswith("target T0 has known coordinates, but was never measured; did you mean ")
 
 
 @pytest.mark.parametrize(
@@ -487,12 +487,12 @@ def test_stated_sigmas_and_heights() -> None:
     stated = np.full(len(recording), np.nan)
     stated[0] = 2.0
     one = recording.replace(covariates={"sigma_azimuth_arcsec": stated, "target_height_mm": stated})
-    ratio = one.sigma() / recording.sigma()
-    assert one.sigma()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
+    ratio = one.reading_sigmas() / recording.reading_sigmas()
+    assert one.reading_sigmas()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
     assert np.all(ratio[1:] == 1.0)
     assert np.all(ratio[:, [0, 2]] == 1.0)
-    assert one.heights()[1][0] == pytest.approx(0.002)
-    assert not one.heights()[1][1:].any()
+    assert one.heights_above_marks()[1][0] == pytest.approx(0.002)
+    assert not one.heights_above_marks()[1][1:].any()
 
 
 def test_the_concealed_recordings_survive(tmp_path: Path) -> None:
@@ -508,10 +508,10 @@ def test_the_concealed_recordings_survive(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "says"),
     [
-        ('stations = ["S11"]', "centring 1: stations names 'S11', which was never measured; did you mean S1"),
-        ('targets = ["X9"]', "centring 1: targets names 'X9', which was never measured; did you mean "),
+        ('stations = ["S11"]', "centring 1: stations contains 'S11', which is not measured; did you mean S1"),
+        ('targets = ["X9"]', "centring 1: targets contains 'X9', which is not measured; did you mean "),
         ('occupation = "target_setup"', 'occupation = "target_setup" needs a column of this name'),
-        ('occupation = "day"', "occupation = \"day\" needs a column 'date' or times of several days"),
+        ('occupation = "day"', "occupation = \"day\" needs a column 'date', or times over several days"),
     ],
 )
 def test_centring_names_what_the_recording_has(tmp_path: Path, entry: str, says: str) -> None:
@@ -532,7 +532,7 @@ def test_a_selection_keeps_the_centring_errors_of_its_names() -> None:
 
 def test_names_of_many_unused_tables_are_compared_within_bounds() -> None:
     """Each was compared with each name of the recording: 30,000 tables and 400,000 set-ups took hours."""
-    names = tuple(f"S{i}" for i in range(MAX_COMPARED_NAMES // 2))
+    names = tuple(f"S{i}" for i in range(MAX_NAME_COMPARISONS // 2))
     assert "did you mean S1" in _similar_names_phrase("S1", names, 0)
     assert _similar_names_phrase("S1", names, 2) == ""
     assert _similar_names_phrase("S1", names * 3, 0) == ""

@@ -54,7 +54,7 @@ def test_readings(tmp_path: Path) -> None:
     assert list(recording.is_measured[4]) == [False, True, True]
     assert list(recording.is_measured[5]) == [True, False, False]
     assert list(recording.time) == [0, 1, 2, 3, 4, 5]
-    np.testing.assert_allclose(recording.sigma()[0], [2e-5] * 3)
+    np.testing.assert_allclose(recording.reading_sigmas()[0], [2e-5] * 3)
     notes = " ".join(recording.notes)
     assert "1 readings are declared invalid and are not used" in notes
     assert "1 readings of the type temperature are not used" in notes

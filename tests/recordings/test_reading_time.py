@@ -13,7 +13,7 @@ from ltsim.core.errors import LtsimError, RecordError
 from ltsim.core.limits import MAX_LGC_LINES, MAX_TOML_KEYS
 from ltsim.core.units import parse_in_unit
 from ltsim.recordings import Hints, read
-from ltsim.recordings.exchange import MAX_HEAD_BYTES, MAX_NOTES
+from ltsim.recordings.exchange import MAX_FORMAT_RECOGNITION_BYTES, MAX_NOTES_PER_FILE
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.formats import field_book
 from ltsim.recordings.formats.field_book import FieldBook
@@ -59,7 +59,7 @@ def sentence_of(file: Path) -> str:
 def test_the_format_of_a_file_is_recognised_in_no_time(start: str, repeated: str, tmp_path: Path) -> None:
     """Thirty comments before an element took hours, and 16,000 hyphens after an M as well."""
     file = tmp_path / "a.txt"
-    file.write_text(start + repeated * (MAX_HEAD_BYTES // len(repeated)) + "x\n")
+    file.write_text(start + repeated * (MAX_FORMAT_RECOGNITION_BYTES // len(repeated)) + "x\n")
     with processor_time_below(3), pytest.raises(RecordError):
         read(file)
 
@@ -171,6 +171,6 @@ def test_notes_on_a_file_are_bounded(tmp_path: Path) -> None:
     frames = "".join(f"*FRAME F{i}\n*OBSXYZ\nB 1 2 3 1 1 1\n*ENDFRAME\n*UNKNOWN{i}\nx\n" for i in range(1_000))
     (tmp_path / "a.lgc").write_text(LGC_HEAD + f"*TSTN A T5\n*V0\n{PLR3D}{frames}*END\n")
     notes = read(tmp_path / "a.lgc").notes
-    assert len(notes) == MAX_NOTES + 1
+    assert len(notes) == MAX_NOTES_PER_FILE + 1
     assert max(map(len, notes)) < 500
-    assert "further notes on the file are left out" in notes[-1]
+    assert "further notes are not listed" in notes[-1]

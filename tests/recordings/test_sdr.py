@@ -59,7 +59,7 @@ def test_both_dialects_and_their_units(tmp_path: Path, dialect: str, units: str,
     first, second = (recording.station_setup(name) for name in ("1", "2"))
     assert first.position_mm == pytest.approx((100_000.0, 500_000.0, 20_000.0))
     assert first.levelled and first.over == "1" and second.instrument_height_mm == pytest.approx(1400.0)
-    np.testing.assert_allclose(recording.heights()[1], [1.6, 1.6, 1.6, 1.7])
+    np.testing.assert_allclose(recording.heights_above_marks()[1], [1.6, 1.6, 1.6, 1.7])
     assert "because it is an SDR file" in recording.notes[0]
     assert any("1 observations that the instrument corrected" in note for note in recording.notes)
 
@@ -77,10 +77,10 @@ def test_angles_from_the_horizon_and_feet(tmp_path: Path) -> None:
             lambda lines: [lines[0][:40] + "3" + lines[0][41:], *lines[1:]],
             "row 1: found the unit '3' of angles, expected one of",
         ),
-        (lambda lines: [*lines[:2], *lines[4:]], "row 3: this measurement precedes the first named station"),
+        (lambda lines: [*lines[:2], *lines[4:]], "row 3: this measurement is before the first station"),
         (lambda lines: [*lines[:4], lines[-1]], "names the station '2', expected the station of the last record 02"),
         (lambda lines: [*lines[:4], lines[4].replace("30.25", "30,2x")], "row 5: found '30,2x"),
-        (lambda lines: lines[:4], "holds no measurements"),
+        (lambda lines: lines[:4], "contains no measurements"),
     ],
 )
 def test_wrong_files_get_one_sentence(tmp_path: Path, change: object, says: str) -> None:

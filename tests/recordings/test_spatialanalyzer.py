@@ -112,7 +112,7 @@ def test_one_name_in_two_places(tmp_path: Path) -> None:
         ("Distance (mm)", "Distance", "unit '' in this heading"),
         ("Azimuth (gon)", "Distance (gon)", "2 columns called Distance|0 columns called Azimuth"),
         ("Collection;Group", "Group", "no heading"),
-        ("# Meas.;13", "# Meas.;14", "declares 14 observations but contains 13"),
+        ("# Meas.;13", "# Meas.;14", "declares 14 observations, but contains 13"),
         (";T3;", ";T<3;", "holds '<'"),
         (";T3;", ";T3;x", "expected a number"),
         ("(mm);2200", "(mm);abc", "expected a number"),

@@ -15,8 +15,8 @@ from ltsim.recordings.specification import (
     MPE_COVERAGE_FACTOR,
     REQUIRED_LIMIT_KEYS,
     Specification,
-    data_sheet,
     data_sheet_names,
+    data_sheet_specification,
     data_sheet_values,
     noise_and_prior_tables,
 )
@@ -62,8 +62,8 @@ def test_every_sheet_says_where_its_figures_stand() -> None:
 
 def test_no_range_is_guessed() -> None:
     with pytest.raises(ModelError, match="leica-at960 does not give range_limit_um"):
-        data_sheet("leica-at960")
-    with pytest.raises(ModelError, match=r"give the error of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
+        data_sheet_specification("leica-at960")
+    with pytest.raises(ModelError, match=r"give errors of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
         noise_and_prior_tables("api-radian", {"noise": RANGE_TABLES["noise"]})
 
 
@@ -86,7 +86,7 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(InputError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"the range of elevations; set limits.*limits.range_max_mm"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
     with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
@@ -97,7 +97,7 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == noise_and_prior_tables("faro-vantage", {})["noise"]
-    with pytest.raises(InputError, match="does not give the error of ranges"):
+    with pytest.raises(InputError, match="does not give errors of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
@@ -132,7 +132,7 @@ def test_what_a_specification_of_ones_own_becomes() -> None:
     made = limits_of(stated.noise.model_dump(), stated.prior.model_dump(), own_zero=False)
     assert made["transverse_limit_um_per_m"] == pytest.approx(6)
     assert made["range_limit_um"] == pytest.approx(10)
-    assert "2 standard deviations" in own.assumption_sentence
+    assert "2 standard deviations" in own.limit_interpretation_sentence
 
 
 def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: Path) -> None:
@@ -141,12 +141,10 @@ def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: 
     setup = tmp_path / "rec" / "setup.toml"
     whole = setup.read_text()
     setup.write_text(whole.replace("[instrument]\n", '[instrument]\nsheet = "leica-at500"\n', 1))
-    told = [
-        note for note in lt.read(tmp_path / "rec").notes if "replace the values of the data sheet leica-at500" in note
-    ]
+    told = [note for note in lt.read(tmp_path / "rec").notes if "replace values of the data sheet leica-at500" in note]
     assert len(told) == 1
     assert "noise.azimuth_arcsec" in told[0]
     assert "prior.range_scale_ppm" in told[0]
     bare = re.sub(r"\[instrument\.(noise|prior)\]\n(.+\n)*", "", setup.read_text())
     setup.write_text(bare)
-    assert not [note for note in lt.read(tmp_path / "rec").notes if "replace the values" in note]
+    assert not [note for note in lt.read(tmp_path / "rec").notes if "replace values" in note]

@@ -415,7 +415,7 @@ def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_sai
     assert bool(said) == axis_to_axis
     if said:
         assert "15 lines measured in both directions close within" in said[0]
-    assert bool(np.any(recording.heights()[1])) != axis_to_axis
+    assert bool(np.any(recording.heights_above_marks()[1])) != axis_to_axis
     assert lt.adjust(recording).fit.sigma0 < 20.0
 
 

@@ -250,7 +250,7 @@ ROBOT = "X [mm],Y [mm],Z [mm],Target,Time Stamp\n" + "".join(
 
 def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(ROBOT)
-    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\), as of a target that moves"):
+    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\), as a moving target gives"):
         read(tmp_path / "a.csv")
 
 
@@ -265,7 +265,7 @@ def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> N
             "S{n};{x};-3190.5;300.5",
             "names no points, so common targets of its set-ups are unknown",
         ),
-        ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points, measured 8 times in all"),
+        ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points in 8 rows"),
     ],
 )
 def test_what_a_table_of_positions_is_is_said(tmp_path: Path, header: str, first: str, says: str) -> None:
@@ -376,7 +376,7 @@ def test_headers_of_office_programs(tmp_path: Path) -> None:
     assert found.stations == ("1000",) and found.targets == ("101", "102")
     assert list(found.face) == [1, 2, 1, 2]
     np.testing.assert_allclose(found.time, [0, 60, 120, 180])
-    np.testing.assert_allclose(found.heights()[0], 1.552)
+    np.testing.assert_allclose(found.heights_above_marks()[0], 1.552)
     np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
 
 

@@ -44,8 +44,8 @@ def test_empty_heights_that_no_row_gives_are_said(tmp_path: Path) -> None:
     rows = [list(row) for row in ROWS]
     rows[2][6] = rows[3][6] = rows[1][7] = ""
     recording = read_rows(tmp_path / "a.csv", rows)
-    assert "heights of instruments are empty in 2 rows (B); they are taken as 0" in said(recording)
-    assert "heights of targets are empty in 1 rows (P2); they are taken as 0" in said(recording)
+    assert "heights of instruments are missing in 2 rows (B) and are taken as 0" in said(recording)
+    assert "heights of targets are missing in 1 rows (P2) and are taken as 0" in said(recording)
 
 
 @pytest.mark.parametrize("mark", ["", "-", "---", "N/A", "\u2013"])
@@ -59,7 +59,7 @@ def test_a_slope_distance_has_priority_over_a_horizontal_one(tmp_path: Path) -> 
     rows[3][6] = ""
     recording = read_rows(tmp_path / "a.csv", rows, HEADER.replace("SD [m]", "HD [m];SD [m]"))
     np.testing.assert_allclose(recording.readings[:, 0], [12.3456, 13.3456, 10.3456, 11.2456])
-    assert recording.is_horizontal.tolist() == [False, False, False, True]
+    assert recording.is_horizontal_distance.tolist() == [False, False, False, True]
 
 
 def test_words_for_faces(tmp_path: Path) -> None:
@@ -68,9 +68,7 @@ def test_words_for_faces(tmp_path: Path) -> None:
 
 
 def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        RecordError, match=r"the unit 'mil' of column 'Hz \[mil\]' is unknown; convert it to one of deg"
-    ):
+    with pytest.raises(RecordError, match=r"column 'Hz \[mil\]' has the unknown unit 'mil'; convert it to one of deg"):
         read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "mil"))
 
 

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import RecordError
 from ltsim.recordings import Hints, Recording, read
-from ltsim.recordings.specification import TOTAL_STATION_NOISE
+from ltsim.recordings.specification import ASSUMED_TOTAL_STATION_NOISE
 from tests.recordings.samples import workshop
 
 MARKS = {"A": (0.0, 0.0, 1.0), "B": (30.0, 2.0, 1.4)}
@@ -136,9 +136,9 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
 ) -> None:
     visits = [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)]
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
-    assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
+    assert recording.setup.instrument.noise == ASSUMED_TOTAL_STATION_NOISE
     assert (
-        "the noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        "the default noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
         in recording.notes[0]
     )
     assert all(recording.station_setup(name).levelled for name in recording.stations)
@@ -149,7 +149,7 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
         survey(tmp_path / "a.csv", [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)], heights=False, digits=7)
     )
     assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
-    assert "the noise of the default laser tracker is used" in recording.notes[0]
+    assert "the default noise of a laser tracker is used" in recording.notes[0]
     assert not recording.setup.stations
 
 
@@ -211,7 +211,7 @@ def test_heights_without_a_unit_are_plausible_ones(tmp_path: Path, distance: str
 def test_a_reading_with_an_unknown_unit_is_not_left_out(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("Station;Point;Hz [gon];V [%];SD [m]\nA;P;1.5;2.5;12.3\n")
-    with pytest.raises(RecordError, match=r"the unit '%' of column 'V \[%\]' is unknown; convert it to one of deg"):
+    with pytest.raises(RecordError, match=r"column 'V \[%\]' has the unknown unit '%'; convert it to one of deg"):
         read(file)
 
 

@@ -12,9 +12,9 @@ from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.transcription_errors import (
-    FACE_ERRORS,
     UNIT_AND_CONVENTION_ERRORS,
-    ColumnConversion,
+    WRONG_FACE_ERRORS,
+    WrongColumnConversion,
     error_from_lengths,
 )
 from tests.networks import network
@@ -22,12 +22,12 @@ from tests.networks import network
 ANGULAR = [slip for slip in UNIT_AND_CONVENTION_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
 
 
-def slipped(recording: Recording, slip: ColumnConversion) -> Recording:
+def slipped(recording: Recording, slip: WrongColumnConversion) -> Recording:
     return recording.with_readings(slip.with_error(recording.readings))
 
 
-@pytest.mark.parametrize("slip", [*UNIT_AND_CONVENTION_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
-def test_what_is_mended_is_what_was_read(slip: ColumnConversion) -> None:
+@pytest.mark.parametrize("slip", [*UNIT_AND_CONVENTION_ERRORS, *WRONG_FACE_ERRORS], ids=lambda slip: slip.name)
+def test_what_is_mended_is_what_was_read(slip: WrongColumnConversion) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.with_error(readings)
     np.testing.assert_allclose(slip.without_error(written), readings, rtol=1e-14)
@@ -44,7 +44,7 @@ def test_the_effect_knows_every_slip_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("slip", ANGULAR, ids=lambda slip: slip.name)
-def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: ColumnConversion) -> None:
+def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: WrongColumnConversion) -> None:
     recording, _ = network(seed=2)
     wrong = slipped(recording, slip)
     assert error_from_lengths(recording.readings, recording.station, recording.target) is None
@@ -56,5 +56,5 @@ def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: ColumnConvers
 def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:
     recording, _ = network(seed=2)
     gon = next(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name == "gon")
-    with pytest.raises(RecordError, match="agree if the column holds gon; expected degrees"):
+    with pytest.raises(RecordError, match="agree if the column contains gon; expected degrees"):
         write_recording(slipped(recording, gon), tmp_path)  # what could not be read back is not written

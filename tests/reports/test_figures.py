@@ -30,7 +30,7 @@ from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
 from ltsim.planning.reflector_changes import ReflectorChangeEntry
 from ltsim.planning.result import Plan
-from ltsim.recordings.specification import data_sheet
+from ltsim.recordings.specification import data_sheet_specification
 from ltsim.reports import style
 from ltsim.reports.figures import (
     campaign as sweeps,
@@ -136,7 +136,7 @@ def error_to_limit_figure() -> Figure:
         {
             "error_origin": "measured",
             "plan_name": "mine",
-            "specification": data_sheet("leica-at500"),
+            "specification": data_sheet_specification("leica-at500"),
             "pass_probability": 0,
             "sentence": "",
             "groups": [{"name": g, "n_tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],

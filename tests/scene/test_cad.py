@@ -12,7 +12,7 @@ import trimesh
 import ltsim as lt
 from ltsim.core.errors import InputError
 from ltsim.planning.loading import load_plan
-from ltsim.scene.cad import Y_UP_TO_Z_UP, read_mesh
+from ltsim.scene.cad import Y_UP_TO_Z_UP, read_cad_file
 from ltsim.simulation.workshop import placed_obstacles
 
 HEADER = """ISO-10303-21;
@@ -74,7 +74,7 @@ def test_a_step_file_is_read_in_its_own_unit(unit: str, size: tuple[float, float
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / "box.step"
     file.write_text(step_of(trimesh.creation.box(bounds=[[0, 0, 0], size]), unit))
-    triangles = read_mesh(file).triangles
+    triangles = read_cad_file(file).triangles
     assert triangles.min(axis=(0, 1)) == pytest.approx([0, 0, 0], abs=1e-6)
     assert triangles.max(axis=(0, 1)) == pytest.approx([2.5, 1.5, 2.2], abs=1e-6)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -87,7 +87,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
     file = tmp_path / f"bad{suffix}"
     file.write_text(HEADER + "#1=NONSENSE(;\n")
     with pytest.raises(InputError, match=rf"bad\{suffix}: is not a complete"):
-        read_mesh(file)
+        read_cad_file(file)
     assert capfd.readouterr() == ("", "")
 
 
@@ -95,7 +95,7 @@ def test_a_gltf_in_several_files_is_one_sentence(tmp_path: Path) -> None:
     for name, content in trimesh.creation.box().export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
-        read_mesh(tmp_path / "model.gltf")
+        read_cad_file(tmp_path / "model.gltf")
 
 
 def test_without_the_library_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
@@ -103,7 +103,7 @@ def test_without_the_library_the_sentence_says_what_to_install(tmp_path: Path, m
     file = tmp_path / "machine.step"
     file.write_text("ISO-10303-21;")
     with pytest.raises(InputError, match=r'machine.step: .*pip install "ltsim\[step\]", or export it .* as STL'):
-        read_mesh(file)
+        read_cad_file(file)
 
 
 HALL = """format = "ltsim-plan/1"
@@ -231,16 +231,18 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
     far.apply_translation((2.7e9, 5.3e9, 4.7e5))
     far.export(tmp_path / f"far.{suffix}")
     if suffix == "obj":
-        assert np.ptp(read_mesh(tmp_path / "far.obj").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6])
+        assert np.ptp(read_cad_file(tmp_path / "far.obj").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6])
         return
     with pytest.raises(InputError, match=r"single precision .* resolution is 512 mm; export it with its origin near"):
-        read_mesh(tmp_path / "far.stl")
+        read_cad_file(tmp_path / "far.stl")
     with pytest.raises(InputError, match=r"resolution is 5.12e\+05 mm"):
-        read_mesh(tmp_path / "far.stl", unit="m")
+        read_cad_file(tmp_path / "far.stl", unit="m")
     near = trimesh.creation.box((1000.0, 800.0, 600.0))
     near.apply_translation((2.7e5, 5.3e5, 4.7e3))
     near.export(tmp_path / "near.stl")
-    assert np.ptp(read_mesh(tmp_path / "near.stl").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6], abs=1e-4)
+    assert np.ptp(read_cad_file(tmp_path / "near.stl").triangles, axis=(0, 1)) == pytest.approx(
+        [1.0, 0.8, 0.6], abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".glb"])
@@ -248,7 +250,7 @@ def test_a_body_that_vanishes_on_the_grid_is_one_sentence(suffix: str, tmp_path:
     file = tmp_path / f"body{suffix}"
     trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
     with pytest.raises(InputError, match=r"body\.\w+: has no triangle larger than 10 um"):
-        read_mesh(file)
+        read_cad_file(file)
 
 
 def test_a_body_whose_points_have_two_coordinates_is_refused(tmp_path: Path) -> None:
@@ -256,4 +258,4 @@ def test_a_body_whose_points_have_two_coordinates_is_refused(tmp_path: Path) -> 
     file = tmp_path / "flat.obj"
     file.write_text("v 0 0\nv 300 0\nv 300 300\nv 0 300\nf 1 2 3\nf 1 3 4\n")
     with pytest.raises(InputError, match="without three coordinates"):
-        read_mesh(file)
+        read_cad_file(file)

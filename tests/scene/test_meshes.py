@@ -7,16 +7,16 @@ import pytest
 import trimesh
 
 from ltsim.core.errors import InputError
-from ltsim.scene.cad import read_mesh
+from ltsim.scene.cad import read_cad_file
 from ltsim.scene.meshes import (
+    INSIDE_TEST_RAY_DIRECTION,
     N_CYLINDER_SIDES,
-    TEST_RAY_DIRECTION,
     Obstacles,
     box_triangles,
     count_ray_hits,
     cylinder_triangles,
     join_obstacles,
-    nearest_points,
+    nearest_points_on_triangles,
     rotate_and_shift_triangles,
 )
 
@@ -58,7 +58,7 @@ def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
     native = count_ray_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
     assert 100 < native.sum() < 2900
     np.testing.assert_array_equal(body.is_blocked(start, end), native)
-    places, up = start / 2.0, np.broadcast_to(TEST_RAY_DIRECTION, start.shape)
+    places, up = start / 2.0, np.broadcast_to(INSIDE_TEST_RAY_DIRECTION, start.shape)
     slowly = count_ray_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
     assert 100 < slowly.sum() < 2900
     np.testing.assert_array_equal(body.is_inside_body(places), slowly)
@@ -75,7 +75,7 @@ def test_bodies_and_their_nearest_points_are_those_of_trimesh() -> None:
         np.testing.assert_allclose(own, theirs.triangles - [0.0, 0.0, theirs.bounds[0, 2]], atol=1e-12)
         for point in np.random.default_rng(4).uniform(-3, 3, (50, 3)):
             expected = trimesh.triangles.closest_point(own, np.tile(point, (len(own), 1)))
-            np.testing.assert_allclose(nearest_points(own, point), expected, atol=1e-9)
+            np.testing.assert_allclose(nearest_points_on_triangles(own, point), expected, atol=1e-9)
 
 
 def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> None:
@@ -125,7 +125,7 @@ def test_nothing_blocks_nothing() -> None:
 def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"part.{suffix}"
     trimesh.creation.box(extents=(1000, 2000, 500)).export(path)
-    triangles = read_mesh(path, "mm", "z").triangles
+    triangles = read_cad_file(path, "mm", "z").triangles
     assert triangles.shape == (12, 3, 3)
     np.testing.assert_allclose(np.ptp(triangles.reshape(-1, 3), axis=0), [1.0, 2.0, 0.5], atol=1e-7)
 
@@ -143,10 +143,10 @@ def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str,
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=message) as caught:
-        read_mesh(path, "mm", "z")
+        read_cad_file(path, "mm", "z")
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.stl: cannot be read"):
-        read_mesh(tmp_path / "gone.stl", "mm")
+        read_cad_file(tmp_path / "gone.stl", "mm")

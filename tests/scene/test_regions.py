@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ltsim.scene.regions import (
-    MAX_PASSING_LINE_FRACTION,
-    MIN_PASSING_LINES,
+    MAX_LINE_FRACTION_THROUGH_REGION,
+    MIN_LINES_THROUGH_REGION,
     MIN_REGION_WIDTH,
     MIN_TARGETS_BEHIND_REGION,
     REGION_SHAPES,
@@ -56,7 +56,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
     assert regions and len(set(regions)) == len(regions)
     for region in regions:
         passing = region.path_lengths(SCENE) > region.width
-        assert MIN_PASSING_LINES <= passing.sum() <= MAX_PASSING_LINE_FRACTION * len(SCENE)
+        assert MIN_LINES_THROUGH_REGION <= passing.sum() <= MAX_LINE_FRACTION_THROUGH_REGION * len(SCENE)
         assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS_BEHIND_REGION
         at = ["xyz".index(axis) for axis in region.bounded_axes]
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
@@ -64,7 +64,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
 
 def test_neighbours_move_one_coordinate_or_the_width() -> None:
     region = HallRegion("xy", (2.0, 3.0), 0.5)
-    for other in region.neighbours():
+    for other in region.local_search_variants():
         changed = [a != b for a, b in zip((*other.centre, other.width), (*region.centre, region.width), strict=True)]
         assert sum(changed) == 1 and other.width > 0
 
@@ -72,7 +72,7 @@ def test_neighbours_move_one_coordinate_or_the_width() -> None:
 def test_a_local_search_does_not_make_a_region_thinner_than_a_beam() -> None:
     widths, region = [], HallRegion("xy", (2.0, 3.0), 0.5)
     for _ in range(30):
-        region = min(region.neighbours(), key=lambda other: other.width)
+        region = min(region.local_search_variants(), key=lambda other: other.width)
         widths.append(region.width)
     assert min(widths) >= MIN_REGION_WIDTH
     assert np.isfinite(path_lengths_in_regions(SCENE, "xy", np.array([region.centre]), region.width)).all()

@@ -65,8 +65,8 @@ def test_an_explicit_opening_keeps_a_wider_cone_free() -> None:
     wide = SightLimits(declared_shadow_cone_opening=110 * DEGREE)
     assert [reason(at(e), wide) for e in (-56.0, -40.0, -36.0, -34.0)] == [
         InvisibilityReason.BELOW_MIN_ELEVATION,
-        InvisibilityReason.STAND_SHADOW,
-        InvisibilityReason.STAND_SHADOW,
+        InvisibilityReason.IN_STAND_SHADOW,
+        InvisibilityReason.IN_STAND_SHADOW,
         InvisibilityReason.VISIBLE,
     ]
 
@@ -78,7 +78,7 @@ def test_shadow_circle_and_table_agree(x: float, y: float, z: float, opening_deg
     distance = np.hypot(x, y)
     if abs(distance - radius) < 1e-6 or distance < 1e-6:
         return
-    assert (reason(np.array([[x, y, z]]), limits) == InvisibilityReason.STAND_SHADOW) == (distance < radius)
+    assert (reason(np.array([[x, y, z]]), limits) == InvisibilityReason.IN_STAND_SHADOW) == (distance < radius)
 
 
 def test_limits_follow_a_leaning_instrument() -> None:
@@ -96,7 +96,7 @@ def test_acceptance_of_fixed_nests_only() -> None:
     fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([False]))
     turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([True]))
     assert fixed.incidence_angles[0, 0] == pytest.approx(31 * DEGREE)
-    assert fixed.reason_codes[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
+    assert fixed.reason_codes[0, 0] == InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE and turned.is_visible[0, 0]
 
 
 def test_unknown_nests_accept_every_beam() -> None:
@@ -125,8 +125,8 @@ def test_obstacles_and_stations_inside_them() -> None:
     targets = np.array([[3.0, 0.0, 2.0], [0.0, 3.0, 2.0]])
     table = compute_visibility(stations, targets, LIMITS, obstacles=Wall())
     assert table.reason_codes.tolist() == [
-        [InvisibilityReason.OBSTACLE, InvisibilityReason.VISIBLE],
-        [InvisibilityReason.STATION_INSIDE] * 2,
+        [InvisibilityReason.HIDDEN_BY_OBSTACLE, InvisibilityReason.VISIBLE],
+        [InvisibilityReason.STATION_INSIDE_OBSTACLE] * 2,
     ]
     assert table.invisible_pair_sentences(("A", "B"), ("P", "Q"))[0] == "A does not see P: hidden by an obstacle"
     assert table.reason_texts()[0] == ["hidden by an obstacle", ""]

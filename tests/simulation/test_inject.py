@@ -73,7 +73,7 @@ def test_noise_is_added_where_it_is_said(recording: Recording) -> None:
     made, truth = lt.inject(recording, "station-noise:S4", noncentrality=300.0, seed=1)
     change, there = change_of(recording, made), recording.station == recording.stations.index("S4")
     assert not change[~there].any()
-    ratio = change[there] / recording.sigma()[there]
+    ratio = change[there] / recording.reading_sigmas()[there]
     assert np.mean(ratio**2) == pytest.approx(
         np.mean(truth.injected_effects[0].parameter_values), rel=0.4
     )  # added variance over stated

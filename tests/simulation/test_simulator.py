@@ -100,7 +100,7 @@ def test_noise_has_the_stated_size_whatever_the_place() -> None:
         recording, truth = measure_trial(work, 8, trial)
         gap = recording.readings - exact_readings(work, np.array([list(truth.instrument_values.values())]), ())
         gap[:, 1] = wrap_angle(gap[:, 1])
-        z.append(gap / recording.sigma())
+        z.append(gap / recording.reading_sigmas())
     square = np.square(np.concatenate(z)).sum(axis=0)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 60 * len(recording))
     assert np.all((square > low) & (square < high))

@@ -112,7 +112,7 @@ def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
 def test_fixed_nests_square_to_the_walls_lose_reflectors_and_the_table_says_which() -> None:
     square = changed(load_scenario("paper-workshop-re-aimed"), "smr", nest_orientation="fixed")
     table = make_visibility(square)
-    assert np.all(table.reason_codes[~table.is_visible] == InvisibilityReason.ACCEPTANCE)
+    assert np.all(table.reason_codes[~table.is_visible] == InvisibilityReason.OUTSIDE_ACCEPTANCE_ANGLE)
     assert 20 < np.sum(~table.is_visible) < 140
     lost = table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names)
     assert "S1 does not see T01: outside the acceptance angle of the reflector" in lost
@@ -126,7 +126,7 @@ def test_an_obstacle_hides_what_is_behind_it() -> None:
         {**PAPER.model_dump(by_alias=True), "workshop": {**PAPER.workshop.model_dump(), "obstacles": (box,)}}
     )
     table = make_visibility(with_box)
-    assert set(table.reason_codes[~table.is_visible].tolist()) == {InvisibilityReason.OBSTACLE}
+    assert set(table.reason_codes[~table.is_visible].tolist()) == {InvisibilityReason.HIDDEN_BY_OBSTACLE}
     hidden = {LAYOUT.target_names[t] for t in np.flatnonzero(~table.is_visible[0])}
     assert {"T25", "T26", "T27", "T28"} <= hidden
     assert table.is_visible[0, :8].all()

@@ -34,7 +34,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
-from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
+from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, ResultSource
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Criteria(ResultFile, CriteriaEntry):
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
         """Result for a recording with the given criteria."""
         value_by_field = {name: getattr(criteria, name) for name in criteria.model_fields_set}
-        return cls(**value_by_field, recording=SourceEntry.from_recording(recording))
+        return cls(**value_by_field, recording=ResultSource.from_recording(recording))
 
     def _lines(self) -> list[str]:
         return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]

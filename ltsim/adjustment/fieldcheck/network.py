@@ -87,7 +87,7 @@ def with_increased_noise_at_noisy_targets(
     ratios = [robust_sigma(w) if len(w) >= MIN_DOF_FOR_ESTIMATED_NOISE else ratio for w in w_by_observable]
     sigma = (
         np.where(is_noisy[:, None], np.maximum(ratios, 1.0), 1.0)
-        * recording.sigma()
+        * recording.reading_sigmas()
         / [MILLIMETRE, ARCSECOND, ARCSECOND]
     )
     scaled_recording = recording.replace(

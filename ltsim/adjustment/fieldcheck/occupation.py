@@ -101,8 +101,8 @@ class StationOccupation:
         deviations of their readings.
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
-        weight = recording.is_usable & mask[:, None]
-        sigma = recording.sigma() if sigma is None else sigma
+        weight = recording.is_usable_reading & mask[:, None]
+        sigma = recording.reading_sigmas() if sigma is None else sigma
         sightings = replace(sightings_at_state(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # Linearised at the mean of each target: a gross reading would put its error into the instrument columns.
@@ -132,7 +132,7 @@ class StationOccupation:
     @property
     def inverse_sigmas(self) -> Floats:
         """Inverse standard deviations (n, 3) of the readings of n pointings; 0 for readings that are not in use."""
-        return np.where(self.recording.is_usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
+        return np.where(self.recording.is_usable_reading & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
 
     def project_columns(self, columns: Floats) -> Floats:
         """Part of c whitened columns (n, 3, c), for n pointings, that targets and instrument errors do not explain."""
@@ -297,7 +297,7 @@ class TwoFaceDifferences:
         if not len(face_pair_rows(recording)):
             return None
         pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
-        sigma = recording.sigma()
+        sigma = recording.reading_sigmas()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
         noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]
@@ -354,7 +354,7 @@ class TwoFacePairs:
 
 def face_pair_rows(recording: Recording) -> Ints:
     """Indices (m, 2) of the m pairs of complete pointings on face 1 and face 2 of one station, target and repeat."""
-    is_complete = np.all(recording.is_usable, axis=1)
+    is_complete = np.all(recording.is_usable_reading, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):

@@ -20,7 +20,7 @@ from ltsim.core.results import Table, model_columns, number_columns, text_column
 from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, ResultSource
 
 CheckItemKind = Literal[
     "cause",
@@ -188,7 +188,7 @@ class Check(ResultFile):
             *other_network_items,
         )
         result = cls(
-            recording=SourceEntry.from_recording(arrays.recording),
+            recording=ResultSource.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
             sentence=_go_or_no_go_sentence(items, causes, arrays),
             level=alpha,

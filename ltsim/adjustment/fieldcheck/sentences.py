@@ -35,7 +35,7 @@ def estimated_noise_text(recording: Recording, declared_recording: Recording) ->
     """
     if not len(recording):
         return ""
-    ratios = recording.sigma() / declared_recording.sigma()
+    ratios = recording.reading_sigmas() / declared_recording.reading_sigmas()
     names_by_size: dict[str, list[str]] = {}
     origin = noise_origin(declared_recording.notes)
     for name, low, high in zip(OBSERVABLES, np.nanmin(ratios, axis=0), np.nanmax(ratios, axis=0), strict=True):

@@ -219,7 +219,7 @@ class NetworkFit:
                 extra_parameters=start_parameter_values(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
         usable = np.ones((len(recording), 3), dtype=bool) if (mask := fit_input.is_usable_reading) is None else mask
-        sigma = recording.sigma()
+        sigma = recording.reading_sigmas()
         for h in hypotheses:
             if isinstance(h.model_change, NoiseFactor):
                 sigma = np.where(h.model_change.reading_mask, sigma * h.model_change.start_factor, sigma)
@@ -250,7 +250,7 @@ class NetworkFit:
 
     def _estimated_sigmas(self) -> Floats:
         """Standard deviations (n, 3) [m, rad, rad] of n pointings: declared ones times estimated noise factors."""
-        declared, is_used = self.fit_input.recording.sigma(), self.problem.is_used_reading
+        declared, is_used = self.fit_input.recording.reading_sigmas(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
@@ -384,7 +384,7 @@ class NetworkFit:
             )
         if isinstance(change, NoiseFactor):
             chosen = change.reading_mask & self.problem.is_used_reading
-            ratio = self.problem.sigma[chosen] / self.fit_input.recording.sigma()[chosen]
+            ratio = self.problem.sigma[chosen] / self.fit_input.recording.reading_sigmas()[chosen]
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):

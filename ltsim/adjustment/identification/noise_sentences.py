@@ -19,7 +19,7 @@ def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> floa
     """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
-    return float(np.median(fit.problem.sigma[mask] / fit.fit_input.recording.sigma()[mask]))
+    return float(np.median(fit.problem.sigma[mask] / fit.fit_input.recording.reading_sigmas()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
@@ -42,7 +42,7 @@ def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     recording, mask = fit.fit_input.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
         return "declare this noise in the set-up"
-    factors = fit.problem.sigma / recording.sigma()
+    factors = fit.problem.sigma / recording.reading_sigmas()
     settings = [
         setting
         for k, observable in enumerate(OBSERVABLES)

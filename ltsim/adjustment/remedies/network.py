@@ -96,7 +96,7 @@ class PlannedNetwork:
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
         times = times if times.ndim else times + step * np.arange(count)
         last_index = int(np.argmax(recording.time))
-        distance_kind = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
+        distance_kind = "horizontal" if recording.is_horizontal_distance[recording.is_measured[:, 0]].all() else ""
 
         def append_rows(column: Floats | Ints, new_rows: Floats | Ints | float) -> Floats:
             return np.concatenate([column, np.broadcast_to(new_rows, (count, *column.shape[1:])).astype(column.dtype)])

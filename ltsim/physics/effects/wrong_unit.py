@@ -7,7 +7,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import unknown_name_error
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, ColumnConversion
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WrongColumnConversion
 from ltsim.scene.sightings import Sightings
 
 UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
@@ -45,7 +45,7 @@ class WrongUnit(Blunder):
         object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.changed_columns))
 
     @property
-    def transcription_error(self) -> ColumnConversion:
+    def transcription_error(self) -> WrongColumnConversion:
         """Transcription error of this blunder, with the unit or convention that was written and the correct one."""
         return UNIT_ERRORS_BY_NAME[self.mistake]
 

@@ -194,7 +194,9 @@ class EmpiricalLaw(CandidateEffect):
         if regressor.hall_region is not None:
             is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
             neighbours = [
-                r for r in regressor.hall_region.neighbours() if not is_near or contains_several_targets(r, sightings)
+                r
+                for r in regressor.hall_region.local_search_variants()
+                if not is_near or contains_several_targets(r, sightings)
             ]
             return [replace(self, regressor=regressor.with_region(region)) for region in neighbours]
         if regressor.function in FUNCTIONS_WITH_SCALED_CONSTANT or regressor.kind in FUNCTIONS_WITH_SCALED_CONSTANT:

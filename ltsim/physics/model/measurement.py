@@ -102,7 +102,7 @@ def sight_vector_offsets(recording: Recording) -> Floats | None:
     ground mark, as declared for the set-up, is part of the station's position. If a pointing has another instrument
     height, the difference is subtracted from the offset.
     """
-    instrument, target = recording.heights()
+    instrument, target = recording.heights_above_marks()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(setup_heights)[recording.station])
     height_offset = height[:, None] * plumb_directions(recording)[recording.station] if np.any(height) else None
@@ -238,7 +238,7 @@ class MeasurementModel:
     @cached_property
     def _is_horizontal_distance(self) -> Bools | None:
         """Mask (n,) of the pointings whose distance is horizontal; None if all are slope distances."""
-        flat = self.recording.is_horizontal
+        flat = self.recording.is_horizontal_distance
         return flat if flat.any() else None
 
     def sightings(self, state: NetworkState) -> Sightings:
@@ -342,17 +342,18 @@ class MeasurementModel:
         return Prediction(raw, *derivatives)
 
 
-def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
+def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal_distance: Bools) -> None:
     """Reduction, in place, of slope distances and their derivatives to horizontal distances.
 
-    `is_horizontal` (n,) flags those of n pointings that are reduced. `readings` (n, 3) and each derivative (n, 3, k)
+    `is_horizontal_distance` (n,) flags those of n pointings that are reduced. `readings` (n, 3) and each
+    derivative (n, 3, k)
     with respect to k unknowns are changed.
     """
-    range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
+    range_, level = readings[is_horizontal_distance, 0], readings[is_horizontal_distance, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
     for by in derivatives:
-        by[is_horizontal, 0] = (sign * cosine)[:, None] * by[is_horizontal, 0] - (sign * range_ * np.sin(level))[
-            :, None
-        ] * by[is_horizontal, 2]
-    readings[is_horizontal, 0] = range_ * np.abs(cosine)
+        by[is_horizontal_distance, 0] = (sign * cosine)[:, None] * by[is_horizontal_distance, 0] - (
+            sign * range_ * np.sin(level)
+        )[:, None] * by[is_horizontal_distance, 2]
+    readings[is_horizontal_distance, 0] = range_ * np.abs(cosine)

@@ -180,7 +180,7 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
     for name, parts in columns.items():
         k = OBSERVABLE_NAMES_WITH_UNIT.index(parts[2])
         range_changes[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
-    return (SharedErrors(range_changes, recording.is_horizontal),)
+    return (SharedErrors(range_changes, recording.is_horizontal_distance),)
 
 
 @dataclass(frozen=True)

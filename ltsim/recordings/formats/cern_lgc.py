@@ -1,14 +1,14 @@
 """Format: input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
 The reader supports points (``*CALA``, ``*POIN``, ``*VXY`` and similar, ``*PDOR``), observed coordinates (``*OBSXYZ``),
-polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
-``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. It skips other
-observations, and those in separate frames (``*FRAME``), and names them in a note. Angles are clockwise, in gon;
-coordinates and distances are in metres.
+polar instruments with the standard deviations for their targets, set-ups (``*TSTN``, ``*V0``), observations
+(``*PLR3D``, ``*ANGL``, ``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``), and lines switched off with ``%``.
+Other observations, and those in separate frames (``*FRAME``), are skipped and reported in a note. Angles are clockwise,
+in gon; coordinates and distances are in metres.
 
-In a curved reference system (``*RS2K`` and others) the third coordinate is a height. It is converted to the z
-coordinate over a tangent plane in the middle of the network, and each levelled set-up has the direction of the plumb
-line at its position.
+In a curved reference system (``*RS2K`` and others) the third coordinate is a height. The reader converts it to the z
+coordinate over a plane that is tangent in the middle of the network. Each levelled set-up gets the direction of the
+plumb line at its position.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES_BY_KEYWORD,
-    FIXED_SIGMA_M,
+    FIXED_COORDINATE_SIGMA_M,
     DeclaredPoint,
     LineWords,
     PolarInstrument,
@@ -42,8 +42,8 @@ from ltsim.recordings.pointings import (
     NOT_MEASURED,
     ObservationKind,
     SingleObservation,
-    merge_observations,
-    name_with_number,
+    numbered_name,
+    pointings_from_observations,
     recording_from_pointings,
     separate_constant_heights,
 )
@@ -57,14 +57,14 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "DIST": ("distance",),
     "DHOR": ("distance",),
 }
-"""Observables in a line, by the keyword of its section (such as ``*PLR3D``)."""
+"""Observables in a line of observations, by the keyword of its section, such as ``*PLR3D``."""
 CURVED_REFERENCE_KEYWORDS = ("RS2K", "LEP", "SPHE")
-"""Keywords of reference systems whose third coordinate is a height above a curved surface."""
+"""Keywords of reference systems in which the third coordinate is a height above a curved surface."""
 KEYWORDS_WITHOUT_OBSERVATIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
-"""Keywords of sections that contain no observations and are skipped without a note."""
+"""Keywords of sections without observations, which are skipped without a note."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ class _SetUp:
     instrument: str
     height: float
     levelled: bool
-    default_target: str
+    default_target_kind: str
     direction_constant: float = 0.0
 
 
 @dataclass
 class _LgcContent:
-    """Content of an LGC file, to which its reader adds line by line."""
+    """Content of an LGC file, which the reader completes line by line."""
 
     path: Path
     title_words: list[str] = field(default_factory=list)
@@ -91,7 +91,7 @@ class _LgcContent:
     points_observed_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation_points: dict[str, None] = field(default_factory=dict)
-    """Names of the points that orient the frame (*PDOR), in the order of the file."""
+    """Names, in the order of the file, of the points that orient the frame (``*PDOR``)."""
     instruments: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
     n_setups_by_point: Counter[str] = field(default_factory=Counter)
@@ -102,12 +102,12 @@ class _LgcContent:
 
     @property
     def station(self) -> str:
-        """Name of the set-up that was declared last; '' before the first one."""
+        """Name of the latest set-up; '' before the first one."""
         return next(reversed(self.setups), "")
 
     def add_setup(self, setup: _SetUp) -> None:
-        """Addition of a set-up; a repeated set-up on a point gets a number."""
-        self.setups[name_with_number(setup.point, self.n_setups_by_point[setup.point])] = setup
+        """Addition of a set-up; a further set-up over one point gets a number."""
+        self.setups[numbered_name(setup.point, self.n_setups_by_point[setup.point])] = setup
         self.n_setups_by_point[setup.point] += 1
 
 
@@ -124,14 +124,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     lgc = _LgcContent(path)
     keyword, in_frame = "", False
     for words in _lines(lgc):
-        first = words.tokens[0]
+        first = words.words[0]
         if first.startswith("*"):
             keyword = first[1:].upper()
             in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
             if keyword == "FRAME":
-                lgc.frames.append(" ".join(words.tokens[1:2]))
+                lgc.frames.append(" ".join(words.words[1:2]))
             if not in_frame:
-                _begin_block(keyword, LineWords(words.tokens[1:], words.location), lgc)
+                _begin_block(keyword, LineWords(words.words[1:], words.location), lgc)
         elif in_frame and keyword == "OBSXYZ":
             lgc.points_observed_in_frames.append(first)
         elif in_frame or not _process_line(keyword, words, lgc):
@@ -159,7 +159,7 @@ def _begin_block(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
         lgc.curved_reference_keyword = keyword
     elif keyword == "POLAR":
         name, default, _ = line_words.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        lgc.instruments[line_words.location.name(name, "instrument")] = PolarInstrument(
+        lgc.instruments[line_words.location.checked_name(name, "instrument")] = PolarInstrument(
             default, line_words.numbers(2, "height")[0]
         )
     elif keyword == "TSTN":
@@ -178,31 +178,30 @@ def _begin_block(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
 
 
 def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
-    instrument = "".join(line_words.tokens[1:2])
+    instrument = "".join(line_words.words[1:2])
     if instrument not in lgc.instruments:
         given = safe_excerpt(instrument) or "nothing"
-        raise line_words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
-    point = line_words.location.name(line_words.tokens[0], "station")
+        raise line_words.location.error(f"*TSTN names {given}, expected an instrument that *POLAR declares")
+    point = line_words.location.checked_name(line_words.words[0], "station")
     if point not in lgc.points:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = line_words.options(2), lgc.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
-    default = options.values.get("TRGT", polar.default_target)
+    default = options.values.get("TRGT", polar.default_target_kind)
     lgc.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
 def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
-    """Start of a set of directions (``*V0``), all with the same orientation of the circle.
+    """Start of a set of directions (``*V0``) with a common orientation of the horizontal circle.
 
-    The first set after ``*TSTN`` belongs to the set-up that this line declares; each further set adds another set-up
-    over the same point.
+    The first set after ``*TSTN`` belongs to the set-up of that line. Each further set adds a set-up over this point.
     """
     if not lgc.setups:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
     options, name = line_words.options(0), lgc.station
     setup = lgc.setups[name]
-    default = options.values.get("TRGT", setup.default_target)
-    setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
+    default = options.values.get("TRGT", setup.default_target_kind)
+    setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target_kind=default)
     if lgc.observations and lgc.observations[-1].station == name:
         lgc.add_setup(setup)
     else:
@@ -210,9 +209,9 @@ def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
 
 
 def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool:
-    """Addition of the content of a line to `lgc`; False if the section of the line (`keyword`) is not supported."""
+    """Addition of the content of a line to `lgc`; False if its section (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
-        lgc.title_words += line_words.tokens
+        lgc.title_words += line_words.words
     elif keyword in FIXED_AXES_BY_KEYWORD:
         name, point = parse_point(keyword, line_words)
         if name in lgc.points:
@@ -221,7 +220,7 @@ def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool
     elif keyword == "OBSXYZ" and not lgc.curved_reference_keyword:
         lgc.observed_points.append(parse_observed_point(line_words))
     elif keyword == "PDOR":
-        lgc.orientation_points[line_words.tokens[0]] = None
+        lgc.orientation_points[line_words.words[0]] = None
     elif keyword == "POLAR":
         lgc.notes += filter(None, [lgc.instruments[next(reversed(lgc.instruments))].add_target(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
@@ -237,13 +236,13 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
     line_words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = lgc.setups[lgc.station]
-    target = where.name(line_words.tokens[0], "target")
+    target = where.checked_name(line_words.words[0], "target")
     if target not in lgc.points:
         raise where.error(f"the point {target} is in no block of points")
     options = line_words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
-        options.values.get("TRGT", setup.default_target),
-        lgc.instruments[setup.instrument].targets,
+        options.values.get("TRGT", setup.default_target_kind),
+        lgc.instruments[setup.instrument].target_kinds,
     )
     if kind_of_target not in sigmas_by_target:
         raise where.error(
@@ -260,9 +259,9 @@ def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> N
 
 
 def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
-    """Distance [m], counter-clockwise azimuth [rad] or elevation [rad] (`kind`) from a `value` in the file.
+    """Distance [m], counter-clockwise azimuth [rad] or elevation [rad], as `kind` says, from a `value` in the file.
 
-    Raises RecordError for a zenith angle beyond 200 gon, or a distance that is not above 0.
+    Raises RecordError for a zenith angle beyond 200 gon and for a distance that is not above 0.
     """
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.direction_constant, 2 * np.pi))
@@ -279,7 +278,7 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
 
 def _make_recording(lgc: _LgcContent) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(lgc.observations, lgc.path.name)
+        pointings_from_observations(lgc.observations, lgc.path.name)
     )
     if not pointings:
         raise RecordError("contains no polar observations", file=lgc.path)
@@ -317,7 +316,7 @@ def _make_recording(lgc: _LgcContent) -> Recording:
 
 
 def _add_observed_coordinates(lgc: _LgcContent) -> None:
-    """Addition of the observations of ``*OBSXYZ`` to the points that are not fixed; raises RecordError."""
+    """Addition of the observations in ``*OBSXYZ`` sections to the points, except fixed ones; raises RecordError."""
     for name, point, covariance in lgc.observed_points:
         if name not in lgc.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=lgc.path)
@@ -329,9 +328,9 @@ def _add_observed_coordinates(lgc: _LgcContent) -> None:
 
 @dataclass(frozen=True)
 class _TangentPlane:
-    """Plane that touches the reference surface of heights at plan coordinates `centre` (2,) [m].
+    """Horizontal plane at the plan coordinates `centre` (2,) [m], tangent to the reference surface of heights there.
 
-    If the reference surface is not curved (`is_curved` is False), the plane is horizontal.
+    `is_curved` is False if the reference surface is a plane.
     """
 
     centre: Floats
@@ -339,8 +338,8 @@ class _TangentPlane:
 
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
-        """Plane at the median of the points with known plan coordinates; `earth_model` is '' for a plane reference."""
-        plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
+        """Tangent plane at the median of points with known plan coordinates; `earth_model` is '' without curvature."""
+        plan_points = [point.declared_coordinates[:2] for point in points if not point.is_placeholder]
         return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
     def plane_coordinates(self, point: Floats) -> Vector:
@@ -350,28 +349,32 @@ class _TangentPlane:
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def station_settings(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys and values in `setup.toml` of the set-up over a point: position, levelling, plumb line."""
+        """Keys and values in `setup.toml` for a set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
-            {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
+            {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_coordinates)}
         )
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVELLING_SIGMA_ARCSEC}
         if levelled and self.is_curved and keys.get("position_mm"):
-            x, y = ((point.declared_point[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
+            x, y = ((point.declared_coordinates[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
             keys["vertical"] = (x, y, 1.0)
         return keys
 
     def target_settings(self, point: DeclaredPoint) -> dict[str, Any]:
-        """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
+        """Keys and values in `setup.toml` for a target: coordinates known along some axes, approximate along others."""
         axes = point.known_axes
         if axes is None:
-            return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
+            return (
+                {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_coordinates)}
+            )
         coordinates, covariance = point.point_and_covariance
         keys: dict[str, Any] = {"known_mm": self.plane_coordinates(coordinates), "known_axes": axes}
-        keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
-        if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+        keys["known_sigma_mm"] = FIXED_COORDINATE_SIGMA_M / MILLIMETRE
+        if not all(
+            abs(covariance[k, k] / FIXED_COORDINATE_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes
+        ):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
-        return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_point)}
+        return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_coordinates)}
 
 
 def _notes(lgc: _LgcContent) -> Iterator[str]:
@@ -379,7 +382,7 @@ def _notes(lgc: _LgcContent) -> Iterator[str]:
         yield f"{lgc.n_switched_off_lines} lines are switched off with % and are not used"
     for keyword, count in lgc.n_skipped_by_keyword.items():
         axes_reason = (
-            f"observes coordinates in a system whose third axis is no height (*{lgc.curved_reference_keyword})"
+            f"contains coordinates of a system whose third axis is not a height (*{lgc.curved_reference_keyword})"
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"

@@ -1,4 +1,4 @@
-"""Field book of a total station: set-ups over points, and pointings, which the readers of several formats add."""
+"""Field book of a total station: set-ups over points and pointings, collected by the readers of several formats."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -11,47 +11,48 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_FIELD_BOOK_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
+from ltsim.recordings.circle_orientations import circle_orientation_numbers, circle_rotation_note
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     Pointing,
     index_names,
-    name_with_number,
-    readings_of,
+    numbered_name,
+    readings_of_pointings,
     recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
-from ltsim.recordings.resolution import default_total_station
+from ltsim.recordings.resolution import total_station_with_assumed_noise
 from ltsim.recordings.setup import Setup, Station, Target, Vector
 from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_notes
 
 
 @dataclass
 class FieldBook:
-    """Set-ups and pointings that were read from a total station's file so far."""
+    """Set-ups and pointings that the reader of a total station's file has collected so far."""
 
     path: Path
     station: str = ""
-    """Name of the set-up that was added last."""
+    """Name of the latest set-up."""
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
-    """Point, height of the instrument [m] and coordinates [mm] of each set-up, by its name."""
+    """Point under each set-up, height of its instrument [m] and coordinates [mm] of the point (None if unknown), by
+    name of the set-up."""
     n_setups_by_point: Counter[str] = field(default_factory=Counter)
-    """Number of set-ups over each point."""
+    """Number of set-ups over each point, by name of the point."""
     pointings: list[Pointing] = field(default_factory=list)
     n_skipped: int = 0
-    """Number of records that are not used."""
+    """Number of records of the file that are not used."""
     _interned: dict[object, Any] = field(default_factory=dict)
-    """Equal names and columns of pointings, each held once: they take half of the memory of a pointing."""
+    """Names and additional columns of pointings; equal ones share one object, which halves the memory of a pointing."""
 
     def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
-        """Addition of a set-up over the point `name`, with instrument height [m] and coordinates [mm] of the point.
+        """Addition of a set-up over the point `name`: instrument height [m], and coordinates [mm] of the point or None.
 
-        A repeated set-up over a point gets the name of the point and a number.
+        A further set-up over one point gets the name of the point with a number.
         """
-        self.station = name_with_number(location.name(name, "station"), self.n_setups_by_point[name])
+        self.station = numbered_name(location.checked_name(name, "station"), self.n_setups_by_point[name])
         self.n_setups_by_point[name] += 1
         self.setups[self.station] = (name, height, coordinates_mm)
 
@@ -64,22 +65,21 @@ class FieldBook:
         horizontal: float,
         zenith: float,
         height: float = NOT_MEASURED,
-        is_horizontal: bool = False,
+        is_horizontal_distance: bool = False,
     ) -> None:
         """Addition of a pointing: distance [m], clockwise direction and zenith angle [rad], height of the target [m].
 
-        A reading that was not measured is NaN. `horizontal` is the direction; `is_horizontal` is True for a distance
-        that is reduced to the horizontal plane.
+        A reading that was not measured is NaN. `horizontal` is the direction. `is_horizontal_distance` is True for a
+        distance reduced to the horizontal plane.
 
-        Raises RecordError if no set-up was added before, and for impossible readings and too many
-        pointings.
+        Raises RecordError if there is no set-up yet, for impossible readings, and for too many pointings.
         """
         if len(self.pointings) >= MAX_FIELD_BOOK_POINTINGS:
             raise location.error(
                 f"more than {MAX_FIELD_BOOK_POINTINGS} measurements, the limit for reading; divide the file"
             )
         if not self.station:
-            raise location.error("this measurement precedes the first named station; give --hint station=NAME")
+            raise location.error("this measurement is before the first station; name it with --hint station=NAME")
         distance = distance or NOT_MEASURED
         if not (np.isnan(distance) or 0 < distance < 1e6):
             raise location.error(f"found a distance of {distance:g} m, expected one above 0 and below 1000 km")
@@ -92,7 +92,7 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                self._interned.setdefault(target, location.name(target, "target")),
+                self._interned.setdefault(target, location.checked_name(target, "target")),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),
@@ -101,27 +101,27 @@ class FieldBook:
                     HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None
                 ),
                 labels=self._interned_column(
-                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal and np.isfinite(distance) else None
+                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal_distance and np.isfinite(distance) else None
                 ),
                 source=f"{self.path.name}, line {location.row}",
             )
         )
 
     def _interned_column(self, name: str, value: object) -> dict[str, Any]:
-        """Value of an additional column of a pointing, by the name of the column; empty if the value is None."""
+        """Dictionary with the value of an additional column of a pointing; empty if the value is None."""
         column: dict[str, Any] = self._interned.setdefault((name, value), {} if value is None else {name: value})
         return column
 
     def make_recording(self, kind: str, *notes: str) -> Recording:
-        """Recording with levelled set-ups over points and the noise of a total station.
+        """Recording with levelled set-ups over points, and with the assumed noise of a total station.
 
-        `kind` is the format of the file, for a note, and `notes` are further notes. All set-ups over a point have the
-        same position.
+        `kind` is the format of the file, for a note; `notes` are further notes. All set-ups over one point have one
+        position.
 
-        Raises RecordError if the file has no measurements.
+        Raises RecordError if there are no measurements.
         """
         if not self.pointings:
-            raise RecordError("holds no measurements", file=self.path)
+            raise RecordError("contains no measurements", file=self.path)
         orientation_notes = self._separate_orientations()
         pointings, _, heights = separate_constant_heights(self.pointings)
         names = dict.fromkeys(p.station for p in pointings)
@@ -140,8 +140,8 @@ class FieldBook:
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=coordinates_mm,
             )
-        readings = readings_of(pointings)
-        instrument, noise = default_total_station(readings, f"it is {kind}")
+        readings = readings_of_pointings(pointings)
+        instrument, noise = total_station_with_assumed_noise(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
             air=NO_AIR_UNCERTAINTY,
@@ -154,16 +154,16 @@ class FieldBook:
         return with_earth_curvature(recording_from_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
-        """Replacement, in place, of each set-up during which the circle was rotated by one set-up per orientation.
+        """Replacement, in place, of each set-up with a rotated circle by one set-up for each orientation of the circle.
 
-        The result is a list of notes to the user.
+        The result is a list of notes for the user.
         """
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
         targets, target = index_names([p.target for p in self.pointings], "target", self.path)
         face = np.fromiter((p.face for p in self.pointings), dtype=np.int64, count=len(self.pointings))
         sight = 2 * (occupation * len(targets) + target) + face
-        readings = readings_of(self.pointings)
-        orientation = circle_orientations(occupation, sight, readings)
+        readings = readings_of_pointings(self.pointings)
+        orientation = circle_orientation_numbers(occupation, sight, readings)
         if orientation is None:
             return []
         keys = list(zip((p.station for p in self.pointings), orientation.tolist(), strict=True))
@@ -171,7 +171,7 @@ class FieldBook:
         counts: Counter[str] = Counter()
         for name, number in dict.fromkeys(keys):
             point = self.setups[name][0]
-            name_by_key[name, number] = name_with_number(point, counts[point])
+            name_by_key[name, number] = numbered_name(point, counts[point])
             counts[point] += 1
         self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
         self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]

@@ -2,12 +2,12 @@
 
 The reader supports directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument
 and target, and points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions
-becomes a separate set-up over the same point; azimuths become a set-up of known orientation. A distance between two
-points without other measurements becomes a reference length; height differences and vectors become reference
-differences between survey marks. A file without pointings is not a recording.
+becomes a separate set-up over one point; azimuths become a set-up of known orientation. A distance between two points
+without other measurements becomes a reference length; height differences and vectors become known vectors between
+survey marks. A file without pointings is not a recording.
 
-Gama's instruments are levelled exactly, and its angles are clockwise unless the file declares otherwise. In a left-
-handed system of axes the sign of y is changed, which a note reports.
+Gama's instruments are levelled exactly; its angles are clockwise unless the file declares otherwise. In a left-handed
+system of axes the sign of y is changed, which a note reports.
 """
 
 import re
@@ -34,7 +34,7 @@ from ltsim.recordings.formats.gama_network import (
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     SingleObservation,
-    merge_observations,
+    pointings_from_observations,
     recording_from_pointings,
     separate_constant_heights,
 )
@@ -44,25 +44,25 @@ from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, Len
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
-"""Directions of x and y that form a left-handed frame, in which the sign of y is changed."""
+"""Directions of the x and y axes that form a left-handed system, for which the sign of y is changed."""
 UNMIRRORED_AXES = ("en", "nw", "se", "ws")
-"""Directions of x and y that form a right-handed frame."""
+"""Directions of the x and y axes that form a right-handed system."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-"""Size of the unit cc, 1e-4 gon [rad]."""
+"""Size [rad] of the unit cc, which is 1e-4 gon."""
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
-"""Beginning of the name of the attribute with the default standard deviation (``direction`` of ``direction-stdev``), by
-the XML element of an observation."""
+"""Beginning of the attribute of the default sigma (``direction`` of ``direction-stdev``), by element of an observation.
+"""
 POINT_NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
-"""Attributes of elements that name a point."""
+"""XML attributes that contain the name of a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
 """Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
 observation by one standard deviation of each shared error, by name of the error [mm, cc]."""
 IGNORED_POINT_CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
-"""Note to the user on correlations in ``<coordinates>``."""
+"""Note for the user on ignored correlations in ``<coordinates>``."""
 IGNORED_DIFFERENCE_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
-"""Note to the user on correlations in ``<height-differences>`` and ``<vectors>``."""
+"""Note for the user on ignored correlations in ``<height-differences>`` and ``<vectors>``."""
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 """Pattern of an angle as degrees-minutes-seconds."""
 
@@ -101,7 +101,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
-    """Replacement, in place, of `/` in names of points by `_`; names that are refused in any case are not changed."""
+    """Replacement, in place, of `/` in names of points by `_`, except in names that are refused in any case."""
     attributes = [(node, key) for node in root.element.iter() for key in POINT_NAME_ATTRIBUTES if key in node.attrib]
     used_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
@@ -119,7 +119,7 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
-    axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
+    axes, angles = node.attribute("axes-xy", "ne"), node.attribute("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{safe_excerpt(axes)}', angles='{safe_excerpt(angles)}' is not a coordinate system of gama-local"
@@ -133,12 +133,12 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the element ``<parameters>`` to `network`: its a-priori sigma, and notes on unused parameters."""
-    network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
+    """Addition of the content of ``<parameters>`` to `network`: a-priori sigma, and notes on unused parameters."""
+    network.apriori_sigma = node.read_number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
-        apriori_sigma = safe_excerpt(node.get("sigma-apr"))
+        apriori_sigma = safe_excerpt(node.attribute("sigma-apr"))
         network.notes.append(
-            f"sigma-apr is {apriori_sigma}: the sigma0 that Gama reports is {apriori_sigma} times that of ltsim"
+            f"sigma-apr is {apriori_sigma}: Gama reports a sigma0 that is {apriori_sigma} times the one of ltsim"
         )
     if "latitude" in node or "ellipsoid" in node:
         network.notes.append("latitude and ellipsoid are not used: observations are not reduced to an ellipsoid")
@@ -160,15 +160,15 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
-    """Point that an XML element declares, added to `network`: known along fixed axes, approximate along the others.
+    """Point that an XML element declares, also added to `network`: known along fixed axes, approximate along others.
 
-    Capital letters in the attribute ``adj`` are axes along which the point defines the datum.
+    Capital letters in the attribute ``adj`` are the axes along which the point defines the datum.
     """
-    name = node.name("id", "point")
+    name = node.read_name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
     sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
-    point.coordinates_by_axis.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
-    fixed, adjusted = node.get("fix"), node.get("adj")
+    point.coordinates_by_axis.update({axis: sign[axis] * node.read_number(axis) for axis in "xyz" if axis in node})
+    fixed, adjusted = node.attribute("fix"), node.attribute("adj")
     for word in (fixed, adjusted):
         if word.lower() not in ("", "xyz", "xy", "z"):
             raise node.location.error(f"point {name}: '{safe_excerpt(word)}' is not one of xyz, xy, z")
@@ -181,12 +181,12 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
 
 
 def _named_axes(letters: str) -> str:
-    """Axes, among x, y and z in this order, whose letters a text contains in either case."""
+    """Axes among x, y and z, in this order, whose letters (small or capital) are in a text."""
     return "".join(axis for axis in "xyz" if axis in letters.lower())
 
 
 def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the observed coordinates in an element, with covariance; correlations between points are ignored."""
+    """Addition of observed coordinates and their covariance to `network`; correlations between points are ignored."""
     row, column, numbers = covariance_entries(node)
     sign, next_row = np.array([1.0, network.y_sign, 1.0]), 0
     for child in [child for child in node if child.tag == "point"]:
@@ -203,9 +203,9 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
         if np.any(numbers[of_point][~is_in_block]):
             network.notes.append(IGNORED_POINT_CORRELATIONS_NOTE)
         point.fixed_axes = "".join("xyz"[axis] for axis in axes)
-        point.sigma = float(np.sqrt(np.mean(variances)))
+        point.sigma_mm = float(np.sqrt(np.mean(variances)))
         if np.any(np.triu(covariance, 1)) or max(variances) > 1.0001 * min(variances):
-            point.covariance = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
+            point.covariance_mm2 = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
 
 
 def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
@@ -223,12 +223,12 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
     ]
     network.n_shared_errors += shared_effects.shape[1]
     circles = {(_standpoint(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
-    names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
+    names = {circle: network.setup_name(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented_setups |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma, errors in zip(children, sigmas, shared, strict=True):
         if child.tag in STDEV_ATTRIBUTE_PREFIXES:
             point = _standpoint(child, block)
-            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
+            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.setup_name(point)
             network.observations.append(_parse_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
@@ -238,16 +238,16 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
 
 def _standpoint(child: XmlNode, block: XmlNode) -> str:
     """Name of the point from which the observation `child` of the element `block` was made; raises RecordError."""
-    return (child if "from" in child else block).name("from", "point")
+    return (child if "from" in child else block).read_name("from", "point")
 
 
 def _parse_observation(
     child: XmlNode, block: XmlNode, station: str, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork
 ) -> SingleObservation:
-    target = child.name("to", "point")
-    heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
+    target = child.read_name("to", "point")
+    heights = child.read_number("from_dh", block.read_number("from_dh", 0.0)), child.read_number("to_dh", 0.0)
     if child.tag in ("s-distance", "distance"):
-        value = child.number("val")
+        value = child.read_number("val")
         if not 0 < value < 1e6:
             raise child.location.error(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
         sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, MILLIMETRE, child, network, value)
@@ -258,26 +258,26 @@ def _parse_observation(
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, sense * second, child, network)
     if child.tag in ("direction", "azimuth"):
         return SingleObservation(
-            "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_changes=shared
+            "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_shifts=shared
         )
     if value > np.pi:
         raise child.location.error(
             "found a zenith angle beyond half a circle, expected 0 to half a circle", "<z-angle> val"
         )
     return SingleObservation(
-        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared_error_changes=shared
+        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared_error_shifts=shared
     )
 
 
 def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork) -> None:
-    """Addition of an angle as two directions of a separate set-up, each with its sigma over the square root of 2."""
-    station = network.station(_standpoint(child, block), with_directions=True)
+    """Addition of an angle as two directions of a separate set-up, each with the sigma of the angle over sqrt(2)."""
+    station = network.setup_name(_standpoint(child, block), with_directions=True)
     value, second = _parse_angle(child)
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
     for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
-        target = child.name(name, "point")
+        target = child.read_name(name, "point")
         direction = SingleObservation(
-            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
+            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_shifts=errors
         )
         network.observations.append(direction)
 
@@ -287,8 +287,8 @@ def _si_sigma_and_shared_errors(
 ) -> tuple[float, dict[str, float]]:
     """Standard deviation [m, rad] of the independent error of an observation, and changes [m, rad] by shared errors.
 
-    `sigma_and_errors` holds both in the unit of the file, and `unit` converts them to SI; a negative `unit` reverses
-    the sense of an angle. If the file gives none, its default and the `distance` [m] determine the standard deviation.
+    `sigma_and_errors` are these numbers in file units, which `unit` converts to SI (negative: reversed sense of an
+    angle). NaN as standard deviation is replaced by the file's default for the `distance` [m].
     """
     sigma, shared = sigma_and_errors
     independent = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)
@@ -299,24 +299,25 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
     """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation in the file."""
     match = _SEXAGESIMAL_ANGLE_PATTERN.fullmatch(child.required_attribute("val"))
     if match is None:
-        return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
+        return child.read_number("val", limit=1e4) * GON, CENTESIMAL_SECOND
     degrees = float(match[2]) + float(match[3]) / 60 + float(match[4]) / 3600
     return (-degrees if match[1] == "-" else degrees) * DEGREE, ARCSECOND
 
 
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
-    """Standard deviation [mm, cc] of an observation, from its attribute or the default of the file.
+    """Standard deviation [mm, cc] of an observation, from its attribute or from the default of the file.
 
-    Both are ``a``, or ``a b c`` for a + b D^c with the distance D in km; `distance` is in m. Raises RecordError.
+    It is written as ``a``, or as ``a b c`` for a + b D^c with the distance D in km. `distance` is in m. Raises
+    RecordError.
     """
     kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
-    words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
+    words = child.attribute("stdev", network.default_sigmas.get(kind, "")).split()
     if not 0 < len(words) < 4:
         message = (
             f"no standard deviation is given for <{safe_excerpt(child.tag)}>, expected one (stdev, or {kind}-stdev)"
         )
         raise child.location.error(message)
-    coefficients = [child.location.number(word, "stdev", limit=1e9) for word in words]
+    coefficients = [child.location.parse_number(word, "stdev", limit=1e9) for word in words]
     a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
     sigma = a + (b * (distance / 1000) ** c if b else 0.0)
     if not 0 < sigma < 1e9:
@@ -329,7 +330,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
     drop_height_dependent_observations(network)
     gauge, observed = split_reference_lengths(network)
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(observed, network.file.name)
+        pointings_from_observations(observed, network.file.name)
     )
     reason = "are not read, because a recording cannot contain them"
     skipped = [f"{n} elements <{safe_excerpt(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]
@@ -369,8 +370,8 @@ def _make_recording(network: GamaNetwork) -> Recording:
 def _make_target(point: GamaPoint, height: float) -> Target:
     reference_keys = {
         "known_axes": point.fixed_axes,
-        "known_sigma_mm": point.sigma,
-        "known_covariance_mm2": point.covariance,
+        "known_sigma_mm": point.sigma_mm,
+        "known_covariance_mm2": point.covariance_mm2,
     }
     return Target(
         known_mm=point.coordinates_or_zeros if point.fixed_axes else None,
@@ -384,11 +385,11 @@ def _make_target(point: GamaPoint, height: float) -> Target:
 
 
 def _noise(network: GamaNetwork) -> Noise:
-    """Noise with the default standard deviations of the file; single observations have theirs in columns."""
+    """Noise with the default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, fallback: float) -> float:
         words = network.default_sigmas.get(kind, "").split()
-        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
+        value = SourceLocation(network.file).parse_number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 
     return Noise(

@@ -1,4 +1,4 @@
-"""Content of an input file of GNU Gama, and the conversion of its correlated observations."""
+"""Content of an input file of GNU Gama, and conversion of correlated observations to independent and shared errors."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,46 +11,46 @@ from pydantic import ValidationError
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.pointings import SingleObservation, name_with_number
+from ltsim.recordings.pointings import SingleObservation, numbered_name
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
+from ltsim.recordings.xml import BAND_MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
 
-FIXED_SIGMA_MM = 1e-4
-"""Standard deviation [mm] that is used for a coordinate declared as fixed."""
+FIXED_COORDINATE_SIGMA_MM = 1e-4
+"""Standard deviation [mm] that represents a fixed coordinate in the adjustment."""
 
 
 @dataclass
 class GamaPoint:
-    """Point that the file declares: coordinates, role along each axis, precision."""
+    """Point declared in a file of gama-local: coordinates, their precision, and how each axis is treated."""
 
     coordinates_by_axis: dict[str, float] = field(default_factory=dict)
-    """Coordinates [m] by axis."""
+    """Coordinates [m] by letter of the axis."""
     fixed_axes: str = ""
-    """Axes along which the point is fixed or has observed coordinates."""
+    """Axes along which the point is fixed, or its coordinates were observed."""
     datum_axes: str = ""
-    """Axes along which the point defines the datum."""
+    """Axes along which the point takes part in the definition of the datum."""
     active_axes: str = ""
-    """Axes along which the point is fixed or adjusted."""
-    sigma: float = FIXED_SIGMA_MM
+    """Axes along which the point is fixed or adjusted; along other axes it has no coordinate."""
+    sigma_mm: float = FIXED_COORDINATE_SIGMA_MM
     """Standard deviation [mm] of the coordinates along the fixed axes."""
-    covariance: tuple[float, ...] | None = None
+    covariance_mm2: tuple[float, ...] | None = None
     """Covariance xx, xy, xz, yy, yz, zz [mm^2] of the coordinates; None if not given."""
 
     @property
     def complete_coordinates(self) -> Vector | None:
-        """Coordinates x, y, z [mm] of the point; None if any of them is missing."""
+        """Coordinates x, y, z [mm] of the point; None if one of them is missing."""
         return self.coordinates_or_zeros if len(self.coordinates_by_axis) == 3 else None
 
     @property
     def coordinates_or_zeros(self) -> Vector:
-        """Coordinates x, y, z [mm] of the point; 0 for each that is missing."""
+        """Coordinates x, y, z [mm] of the point, with 0 for each missing one."""
         x, y, z = (round(self.coordinates_by_axis.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
 @dataclass
 class GamaNetwork:
-    """Content of a file of gama-local, to which its reader adds element by element."""
+    """Content of a file of gama-local, which the reader completes element by element."""
 
     file: Path
     title: str = ""
@@ -59,7 +59,7 @@ class GamaNetwork:
     angle_sign: float = -1.0
     """Factor of horizontal angles: -1 if angles in the file are clockwise, otherwise 1."""
     default_sigmas: dict[str, str] = field(default_factory=dict)
-    """Text of the default standard deviation in the file, by kind of observation."""
+    """Default standard deviation of the file, as text, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
     n_direction_sets_by_point: Counter[str] = field(default_factory=Counter)
     """Number of sets of directions at each point."""
@@ -67,31 +67,31 @@ class GamaNetwork:
     north_direction_deg: float = 0.0
     """Direction [deg] of north, counter-clockwise from x."""
     oriented_setups: set[str] = field(default_factory=set)
-    """Names of the set-ups with azimuths, whose horizontal circle reads 0 to the north."""
+    """Names of the set-ups with azimuths: their horizontal circle reads 0 towards north."""
     observations: list[SingleObservation] = field(default_factory=list)
     apriori_sigma: float = 10.0
-    """A-priori standard deviation [mm, cc] of an observation with the weight 1."""
+    """A-priori standard deviation [mm, cc] of an observation of unit weight."""
     differences: list[ReferenceDifference] = field(default_factory=list)
     n_skipped_by_element: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
-    """Number of shared errors so far, each of which acts on several observations."""
+    """Number of errors shared by several observations so far."""
     notes: list[str] = field(default_factory=list)
 
-    def station(self, point: str, *, with_directions: bool = False) -> str:
-        """Name of the set-up over a point for new observations; a further set of directions starts another set-up.
+    def setup_name(self, point: str, *, with_directions: bool = False) -> str:
+        """Name of the set-up over a point for new observations; each further set of directions starts a set-up.
 
-        `with_directions` is True if the observations are a set of directions.
+        `with_directions` is True if the observations include a set of directions.
         """
         self.n_direction_sets_by_point[point] += with_directions
-        name = name_with_number(point, max(self.n_direction_sets_by_point[point] - 1, 0))
+        name = numbered_name(point, max(self.n_direction_sets_by_point[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 
 
 def drop_height_dependent_observations(network: GamaNetwork) -> None:
-    """Removal, in place, of observations that need the height of a point that is adjusted in plan only.
+    """Removal, in place, of observations that need the height of a point of which only plan coordinates are adjusted.
 
-    As in Gama, the heights of such points are then held fixed.
+    The heights of these points are then held fixed, as in Gama.
     """
     plan_points = {name for name, point in network.points.items() if point.active_axes == "xy"}
     if not plan_points:
@@ -99,7 +99,7 @@ def drop_height_dependent_observations(network: GamaNetwork) -> None:
     observations = []
     for o in network.observations:
         in_plan = bool({network.point_of_station[o.station], o.target} & plan_points)
-        if not in_plan or o.kind == "azimuth" or o.is_horizontal:
+        if not in_plan or o.kind == "azimuth" or o.is_horizontal_distance:
             observations.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
     differences = [
         difference
@@ -126,10 +126,10 @@ def drop_height_dependent_observations(network: GamaNetwork) -> None:
 def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], list[SingleObservation]]:
     """Reference lengths, and all other observations.
 
-    A slope distance without heights counts as a reference length if its station has no angles and no horizontal
-    distances, and both of its ends are targets of stations that have.
+    A slope distance without heights is a reference length under two conditions: its station has no angles and no
+    horizontal distances, and both ends are targets of stations that have angles or horizontal distances.
     """
-    stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal}
+    stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal_distance}
     targets = {o.target for o in network.observations if o.station in stations_with_angles}
     gauge, other_observations = [], []
     for o in network.observations:
@@ -139,7 +139,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
             or point == o.target
             or not {point, o.target} <= targets
             or any(o.heights)
-            or o.shared_error_changes
+            or o.shared_error_shifts
         ):
             other_observations.append(o)
         else:
@@ -149,47 +149,48 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
 
 
 def differences_with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
-    """Reference differences with distinct names: those of the same two points (a line levelled twice) are numbered."""
+    """Known vectors with distinct names: several between two points (a line levelled twice) get numbers."""
     counts: Counter[str] = Counter()
     for difference in differences:
         number = counts[difference.label]
         counts[difference.label] += 1
         yield (
-            difference.model_copy(update={"name": name_with_number(difference.label, number)}) if number else difference
+            difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
         )
 
 
 MAX_CORRELATED_OBSERVATIONS = 500
-"""Largest permitted number of correlated observations of a file; with more the file is refused, because each shared
-error is an unknown of the adjustment."""
+"""Largest permitted number of correlated observations in a file; each error that they share is an unknown of the
+adjustment."""
 MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
-"""Eigenvalue of a correlation matrix of observations below which it counts as zero: the matrix is singular and refused.
+"""Eigenvalue of a correlation matrix of observations below which it counts as zero; the matrix is then singular and
+refused.
 
-It is also the relative difference below which two eigenvalues count as equal.
+Two eigenvalues whose relative difference is smaller also count as equal.
 """
 
 
 def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     """Row index (k,), column index (k,), value (k,) [mm^2, cc^2] of the k entries in the upper band of a covariance.
 
-    The covariance is the <cov-mat> inside the element `node`; the arrays are empty if there is none.
+    The covariance is the <cov-mat> inside the XML element `node`; without it the arrays are empty.
     """
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    n_rows, band = matrix.number("dim"), matrix.number("band")
+    n_rows, band = matrix.read_number("dim"), matrix.read_number("band")
     size = band_matrix_value_count(matrix, n_rows, band)
     words = (matrix.element.text or "").split(maxsplit=size)
     if len(words) != size:
-        raise matrix.location.error(MATRIX_SIZE_MESSAGE)
-    return band_matrix_entries(matrix, n_rows, band, [matrix.location.number(word, "cov-mat") for word in words])
+        raise matrix.location.error(BAND_MATRIX_SIZE_MESSAGE)
+    return band_matrix_entries(matrix, n_rows, band, [matrix.location.parse_number(word, "cov-mat") for word in words])
 
 
 def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:
-    """Height differences or vectors of a section, and a flag that is True if correlations between them were ignored.
+    """Known vectors from a section of height differences or vectors, and True if correlations between them are ignored.
 
-    `y_sign` is the factor of y coordinates. The standard deviation of a height difference without one is
-    `apriori_sigma` [mm] times the square root of the length of its line in km.
+    `y_sign` is the factor of y coordinates. A height difference without standard deviation has `apriori_sigma` [mm]
+    times the square root of the length of its line in km.
     """
     children = [child for child in section if child.tag != "cov-mat"]
     tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
@@ -210,26 +211,26 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
 
 
 def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
-    """Standard deviation [mm] of a height difference, as declared or from the length of the levelling line.
+    """Standard deviation [mm] of a height difference, as declared or from the length of its levelling line.
 
-    Over a line of D km it is `apriori_sigma` [mm] times the square root of D. Raises RecordError.
+    For a line of D km it is `apriori_sigma` [mm] times the square root of D. Raises RecordError.
     """
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         expected_text = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
         raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({expected_text})")
-    value = max(child.number(attributes[0]), 0.0)
+    value = max(child.read_number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
 
 def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> ReferenceDifference:
-    """Reference difference from an element ``<dh>`` or ``<vec>``, with its covariance (1, 1) or (3, 3) [mm^2].
+    """Known vector from an element ``<dh>`` or ``<vec>`` with its covariance, (1, 1) or (3, 3) [mm^2].
 
     `y_sign` is the factor of y coordinates. Raises RecordError.
     """
-    end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
-    x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
-    if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
+    end_names = {"from": child.read_name("from", "point"), "to": child.read_name("to", "point")}
+    x, y, z = (0.0, 0.0, child.read_number("val")) if child.tag == "dh" else (child.read_number(f"d{a}") for a in "xyz")
+    if any(child.read_number(name, 0.0) for name in ("from_dh", "to_dh")):
         message = f"<{child.tag}> has a height of instrument or target, which gama-local does not use"
         raise child.location.error(f"{message}; expected a difference between the marks, without from_dh and to_dh")
     precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(covariance[-1, -1], 0.0)))}
@@ -251,11 +252,11 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
 def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
     """Division of the declared covariance of n observations into independent errors and errors that they share.
 
-    The results are the standard deviations (n,) of the independent errors, and the changes (n, q) of the observations
-    by one standard deviation of each of q shared errors. With the changes F and the independent standard deviations on
-    the diagonal of D, the declared covariance is D^2 + F F'. F has the smallest number of columns for which D has no
-    zero; it has none for uncorrelated observations. `matrix` is the covariance from `covariance_entries`, `n_earlier`
-    the number of shared errors of earlier observations, which counts for the limit. Raises RecordError.
+    The results are the standard deviations (n,) of the independent errors, and the changes F (n, q) of the observations
+    by one standard deviation of each of q shared errors. With the diagonal matrix D of the independent standard
+    deviations, the declared covariance is D^2 + F F'. F has as few columns as permit a D without zeros, and none for
+    uncorrelated observations. `matrix` is the result of `covariance_entries`. `n_earlier` is the number of shared
+    errors of earlier observations, which count for the limit. Raises RecordError.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):

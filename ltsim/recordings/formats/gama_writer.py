@@ -1,4 +1,4 @@
-"""Export of levelled networks to GNU Gama (``gama-local``), to compare its adjustment with that of ltsim."""
+"""Export of levelled networks as input files of GNU Gama (``gama-local``), to compare both adjustments."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
-from ltsim.recordings.formats.gama_network import FIXED_SIGMA_MM
+from ltsim.recordings.formats.gama_network import FIXED_COORDINATE_SIGMA_MM
 from ltsim.recordings.recording import SHARED_ERROR_COLUMN_PATTERN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
@@ -24,14 +24,14 @@ GAMA_XML_NAMESPACE = "http://www.gnu.org/software/gama/gama-local"
 def write(recording: Recording, path: Path) -> None:
     """Export as input file of gama-local: levelled set-ups, face 2 reduced to face 1, reference lengths as distances.
 
-    If no target has known coordinates or belongs to the datum, the targets that the first set-up measured get
-    coordinates in its frame and define the datum.
+    If no target has known coordinates or defines the datum, the targets of the first set-up get coordinates in its
+    frame and define the datum.
 
-    Raises RecordError for a set-up that is not levelled and for SMRs of several radii, which gama-local does not
+    Raises RecordError for a set-up that is not levelled and for SMRs of different radii, which gama-local does not
     support.
     """
     if excess_radii(recording) is not None:
-        message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
+        message = "the recording has SMRs of different radii, which gama-local does not support"
         raise RecordError(f"{message}; write the recording in the native format", file=path)
     if any(SHARED_ERROR_COLUMN_PATTERN.fullmatch(name) for name in recording.covariates):
         raise RecordError("contains errors that readings share, which only the native format supports", file=path)
@@ -58,7 +58,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _point_under_station(recording: Recording, station: str) -> str:
-    """Name of the point under a station: the target over which it stands, or a separate point with its name."""
+    """Name of the point under a station: the target over which it stands, or else a point with the station's name."""
     mark = recording.station_setup(station).over
     if mark is not None:
         return mark
@@ -66,7 +66,7 @@ def _point_under_station(recording: Recording, station: str) -> str:
 
 
 def _point_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the points of a gama-local file.
+    """XML elements of the points for a gama-local file.
 
     A point is fixed, adjusted, or adjusted with observed coordinates that have a covariance matrix. Points with capital
     letters (``adj="XYZ"``) define the datum.
@@ -82,7 +82,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
         datum = target.datum or name in first_setup_points
         if target.known_mm is None:
             yield f'<point id={quoteattr(name)}{attributes} adj="{"XYZ" if datum else "xyz"}" />'
-        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_SIGMA_MM:
+        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_COORDINATE_SIGMA_MM:
             adjusted_axes = "".join(a for a in "xyz" if a not in target.known_axes)
             adjusted = f' adj="{adjusted_axes}"' if adjusted_axes else ""
             yield f'<point id={quoteattr(name)}{attributes} fix="{target.known_axes}"{adjusted} />'
@@ -97,12 +97,13 @@ def _point_lines(recording: Recording) -> Iterator[str]:
 
 
 def _coordinate_attributes(coordinates: Vector, axes: str = "xyz") -> str:
-    """XML attributes with the `coordinates` x, y, z [mm] in metres, along `axes` only."""
+    """XML attributes with the coordinates x, y, z in metres, from `coordinates` [mm]; only those along `axes`."""
     axes_and_values = zip("xyz", coordinates, strict=True)
     return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in axes_and_values if axis in axes)
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
+    """XML elements of the observed coordinates of a target, with their covariance matrix."""
     attributes = _coordinate_attributes(target.known_mm, target.known_axes) if target.known_mm is not None else ""
     yield f"<coordinates><point id={quoteattr(name)}{attributes} />"
     axes, band = ["xyz".index(axis) for axis in target.known_axes], 0
@@ -115,16 +116,17 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 
 def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
-    """Coordinates [mm] in the frame of the first set-up, by name of each target it measured with all three readings."""
+    """Coordinates [mm], by name, of the targets that the first set-up measured completely, in its frame."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in complete_rows}
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
-    front, sigma = to_face(recording.readings, recording.face), recording.sigma()
-    instrument, target_height = (h.tolist() for h in recording.heights())
-    is_horizontal = recording.is_horizontal
+    """XML elements of the observations from each set-up: directions, zenith angles and distances."""
+    front, sigma = to_face(recording.readings, recording.face), recording.reading_sigmas()
+    instrument, target_height = (h.tolist() for h in recording.heights_above_marks())
+    is_horizontal_distance = recording.is_horizontal_distance
     for s, station in enumerate(recording.stations):
         yield f"<obs from={quoteattr(_point_under_station(recording, station))}>"
         for i in np.flatnonzero(recording.station == s).tolist():
@@ -137,25 +139,27 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
             if np.isfinite(elevation):
                 yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CENTESIMAL_SECOND!r}" />'
             if np.isfinite(distance):
-                kind = "distance" if is_horizontal[i] else "s-distance"
+                kind = "distance" if is_horizontal_distance[i] else "s-distance"
                 yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
         yield "</obs>"
 
 
 def _length_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the reference lengths, at their temperature during the recording."""
+    """XML elements of the reference lengths at their temperature during the recording."""
     lengths = ReferenceLengths.from_recording(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
-    for first, second, length, sigma in zip(*ends, lengths.lengths.tolist(), lengths.sigma.tolist(), strict=True):
+    for first, second, length, sigma in zip(
+        *ends, lengths.lengths.tolist(), lengths.total_sigmas.tolist(), strict=True
+    ):
         yield f"<obs from={first}>"
         yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"
 
 
 def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
-    """XML elements of the reference differences: height differences, and vectors with their covariance.
+    """XML elements of known vectors between marks: height differences, and vectors with their covariance.
 
-    Raises RecordError, which names `path`, for a difference along other axes than z or xyz.
+    Raises RecordError, which names `path`, for a vector known along other axes than z or xyz.
     """
     for difference in recording.setup.differences:
         ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"

@@ -1,10 +1,10 @@
 """Format: Leica GSI-8 and GSI-16, measurement blocks of theodolites, total stations and older trackers.
 
 A block is a line of words. A word has an index of two digits, four characters of information, a sign, and 8 or 16
-characters of data. The reader supports points (11), codes (41 with the station's name in 42 and the instrument's height
-in 43, in files without coordinates of stations), angles (21, 22), slope and horizontal distances (31, 32), heights of
-the target (87) and the instrument (88), and coordinates of stations (84 to 86). Directions are clockwise, 22 is a
-zenith angle, and each word has its unit.
+characters of data. The reader supports points (11), angles (21, 22), slope and horizontal distances (31, 32), heights
+of target (87) and instrument (88), and coordinates of stations (84 to 86). In files without such coordinates, codes
+(41) with the name of the station (42) and the height of the instrument (43) declare stations. Directions are clockwise,
+word 22 is a zenith angle, and each word contains its unit.
 """
 
 from __future__ import annotations
@@ -25,32 +25,33 @@ from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
-"""Pattern of a word: index, information, sign, 16 or 8 characters of data."""
-_PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
-"""Pattern of the word with scale correction and prism constant (51)."""
-GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
-"""Factor from the data of a word to m, by the unit code (last character of the word's information)."""
-GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
-"""Factor from the data of a word to rad, by the unit code (last character of the word's information).
+"""Pattern of a word: index, information, sign, and 16 or 8 characters of data."""
+_SCALE_CORRECTION_WORD_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
+"""Pattern of word 51, which contains the scale correction and the prism constant."""
+GSI_LENGTH_FACTORS_BY_UNIT_CODE = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+"""Factor from the data of a word to m, by the code of its unit (last character of the word's information)."""
+GSI_ANGLE_FACTORS_BY_UNIT_CODE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+"""Factor from the data of a word to rad, by the code of its unit (last character of the word's information).
 
-The code 4, degrees-minutes-seconds, has no factor.
+Code 4 (degrees, minutes and seconds) has no factor, because its digits need a conversion.
 """
 
 
 @dataclass(frozen=True)
 class _GsiBlock:
-    """Measurement block (one line) of a GSI file: information and signed data of each word, by the word's index."""
+    """Measurement block (line) of a GSI file: information and signed data of each word, by index of the word."""
 
     words: dict[str, tuple[str, str]]
     location: SourceLocation
 
     @classmethod
     def from_line(cls, line: str, location: SourceLocation) -> _GsiBlock:
+        """Block from a line of the file; raises RecordError."""
         is_wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
             match = _WORD_PATTERN.fullmatch(text)
-            if _PPM_PATTERN.fullmatch(text):
+            if _SCALE_CORRECTION_WORD_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != is_wide:
                 raise location.error(f"'{safe_excerpt(text)}' is not a word of GSI-{16 if is_wide else 8}")
@@ -58,13 +59,15 @@ class _GsiBlock:
         return cls(words, location)
 
     def has_words(self, *keys: str) -> bool:
+        """True if the block has all words with the indices `keys`."""
         return all(key in self.words for key in keys)
 
     def name(self, key: str) -> str:
-        """Name in the word with index `key`, such as "11", without leading zeros."""
+        """Name in the word with index `key` (such as "11"), without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
     def _number(self, key: str) -> float:
+        """Number in the word with index `key`, in units of its last digit; raises RecordError."""
         digits = self.words[key][1].replace(" ", "")
         if re.fullmatch(r"[+-]-+", digits):
             return NOT_MEASURED
@@ -73,20 +76,20 @@ class _GsiBlock:
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
-        """Length [m] in the word with index `key`; `default` if the block lacks this word. Raises RecordError."""
+        """Length [m] in the word with index `key`; `default` if the block lacks it. Raises RecordError."""
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
-        if unit not in GSI_LENGTH_FACTORS:
+        if unit not in GSI_LENGTH_FACTORS_BY_UNIT_CODE:
             raise self.location.error(
                 f"found the unit code '{safe_excerpt(unit)}' of a length, expected 0, 1, 6, 7 or 8"
             )
-        return self._number(key) * GSI_LENGTH_FACTORS[unit]
+        return self._number(key) * GSI_LENGTH_FACTORS_BY_UNIT_CODE[unit]
 
     def angle(self, key: str) -> float:
         """Angle [rad] in the word with index `key`, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
 
-        NaN if the block lacks this word. Raises RecordError.
+        The result is NaN if the block lacks this word. Raises RecordError.
         """
         if key not in self.words:
             return NOT_MEASURED
@@ -95,9 +98,9 @@ class _GsiBlock:
             degrees, rest = divmod(abs(value), 1e5)
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
-        if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
+        if unit not in GSI_ANGLE_FACTORS_BY_UNIT_CODE and not np.isnan(value):
             raise self.location.error(f"found the unit code '{safe_excerpt(unit)}' of an angle, expected 2, 3, 4 or 5")
-        return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
+        return value * GSI_ANGLE_FACTORS_BY_UNIT_CODE.get(unit, NOT_MEASURED)
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -109,8 +112,8 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from a GSI file.
 
-    Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
-    one).
+    Raises RecordError for a malformed word, and for measurements before the first station; `hints.station` names a
+    station for them.
     """
     field_book = FieldBook(path)
     if hints.station is not None:
@@ -129,9 +132,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
-    """Measurement blocks in the lines that are not blank.
+    """Iterator over the measurement blocks in the lines that are not blank.
 
-    It is a generator, because a block takes ten times the memory of its line.
+    It yields one block at a time, because a block takes ten times the memory of its line.
     """
     return (
         _GsiBlock.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
@@ -140,7 +143,7 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
 
 @dataclass
 class _GsiFileProperties:
-    """Properties of a GSI file as a whole, which decide how each single measurement block is read."""
+    """Properties of a whole GSI file, which decide how each measurement block is read."""
 
     has_stations: bool = False
     """True if a block has the coordinates of a station."""
@@ -155,18 +158,19 @@ class _GsiFileProperties:
     last_block: _GsiBlock | None = None
     """Last block of the file."""
     word_indices_of_second_last_block: frozenset[str] = frozenset()
-    """Indices of the words in the last block but one."""
+    """Indices of the words in the second-last block."""
 
     @classmethod
     def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _GsiFileProperties:
-        """Properties of the whole file from all of its blocks, in order."""
+        """Properties of a file from all its blocks, in order."""
         facts = cls()
         for block in blocks:
             facts._add_block(block)
         return facts
 
     def _add_block(self, block: _GsiBlock) -> None:
-        self.has_stations = self.has_stations or _is_station(block)
+        """Update of the properties by the next block of the file."""
+        self.has_stations = self.has_stations or _is_station_block(block)
         self.has_directions = self.has_directions or block.has_words("21")
         self.has_staff_readings = self.has_staff_readings or block.has_words("33")
         if block.has_words("41", "42"):
@@ -179,13 +183,14 @@ class _GsiFileProperties:
         self.last_block = block
 
     def setup_code(self, path: Path, *, is_line_broken: bool) -> str | None:
-        """Code (word 41) of the blocks that name a set-up; None if no code does.
+        """Code (word 41) of the blocks that declare a set-up; None if there is no such code.
 
-        It is the code of the first block with a name and a height, or of the first with a name; other codes describe
-        points. If blocks with coordinates of stations name the set-ups, all codes describe points. `is_line_broken` is
-        True if the last line of the file ends with a line break. Raises RecordError, which names `path`, for the file
-        of a level, and for an incomplete last line: one without a line break whose words differ from those of the line
-        before.
+        It is the code of the first block with name and height, or else of the first block with a name; other codes
+        describe points. If coordinates of stations declare the set-ups, all codes describe points. `is_line_broken` is
+        True if the last line ends with a line break.
+
+        Raises RecordError, which names `path`, for a file of a level. Raises it also for an incomplete last line, which
+        has no line break and not the words of the line before.
         """
         if (
             self.last_block is not None
@@ -198,15 +203,16 @@ class _GsiFileProperties:
         return None if self.has_stations else self.code_of_first_block_with_height or self.code_of_first_block_with_name
 
 
-def _is_station(block: _GsiBlock) -> bool:
+def _is_station_block(block: _GsiBlock) -> bool:
     """True for a block with the coordinates of a station."""
     return block.has_words("84", "85", "11") and not block.has_words("21")
 
 
 def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
+    """Addition of a measurement block to the field book: a set-up, a pointing, or a skipped block."""
     if block.has_words("41", "42") and block.name("41") == setup_code:
         field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
-    elif _is_station(block):
+    elif _is_station_block(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
         field_book.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
@@ -216,13 +222,14 @@ def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | No
 
 
 def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
-    is_horizontal = not block.has_words("31")
+    """Addition of the pointing in a measurement block to the field book."""
+    is_horizontal_distance = not block.has_words("31")
     field_book.add_pointing(
         block.name("11"),
         block.location,
-        distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),
+        distance=block.length("32" if is_horizontal_distance else "31", NOT_MEASURED),
         horizontal=block.angle("21"),
         zenith=block.angle("22"),
         height=block.length("87"),
-        is_horizontal=is_horizontal,
+        is_horizontal_distance=is_horizontal_distance,
     )

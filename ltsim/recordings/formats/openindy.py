@@ -1,9 +1,9 @@
-"""Format: OpenIndy projects (``oiProjectData`` XML), readings of trackers in radians and metres.
+"""Format: OpenIndy projects (``oiProjectData`` XML), with readings of trackers in radians and metres.
 
 The reader uses polar, direction, distance and cartesian readings. All observations of a point geometry belong to one
-target. Observations of planes, spheres and other geometries are different points, so that each is a separate target.
-OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle determines the
-face.
+target. Each observation of a plane, sphere or other geometry is a different point and becomes a separate target.
+OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle shows the face of
+the measurement.
 """
 
 from collections import Counter
@@ -21,10 +21,10 @@ from ltsim.recordings.files import safe_excerpt, single_line_title
 from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_from_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.xml import XmlNode, parse_xml
 
-ROOT_ELEMENT = "oiProjectData"
+OPENINDY_ROOT_ELEMENT = "oiProjectData"
 """Root element of an OpenIndy project."""
 REQUIRED_QUANTITIES_BY_READING_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
@@ -32,51 +32,58 @@ REQUIRED_QUANTITIES_BY_READING_TYPE = {
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
-"""Measured quantities that a reading must have, by supported type of reading."""
+"""Quantities that a reading must contain, by type of reading."""
 SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
-"""Column of the recording with the standard deviation, by measured quantity."""
+"""Column of the recording for the standard deviation of each measured quantity."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
     """True if the file begins with the root element of an OpenIndy project."""
-    return f"<{ROOT_ELEMENT}" in file_beginning
+    return f"<{OPENINDY_ROOT_ELEMENT}" in file_beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from an OpenIndy project.
 
-    Raises RecordError for XML that is malformed or unsafe, or a reading that lacks a measurement.
+    Raises RecordError for malformed or unsafe XML, and for a reading without a required quantity.
     """
     root = parse_xml(path)
-    if root.tag != ROOT_ELEMENT:
-        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
-    named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
+    if root.tag != OPENINDY_ROOT_ELEMENT:
+        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{OPENINDY_ROOT_ELEMENT}>", file=path)
+    named_nodes = [
+        node for node in root.descendants("station", "geometry", "nominalGeometry") if node.attribute("name")
+    ]
     stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
     geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
     notes: Counter[str] = Counter()
     readings = [_parse_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
-        raise RecordError("holds no readings", file=path)
+        raise RecordError("contains no readings", file=path)
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
-    setup = Setup(title=single_line_title(root.get("name", path.stem)))
+    setup = Setup(title=single_line_title(root.attribute("name", path.stem)))
     recording = recording_from_pointings(pointings, setup, notes=count_notes, file=path)
-    return recording if has_all_sigma_columns(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
+    return (
+        recording
+        if has_all_sigma_columns(recording)
+        else recording.replace(notes=(ASSUMED_TRACKER_NOISE_NOTE, *recording.notes))
+    )
 
 
 def _parse_pointing(
     node: XmlNode, stations: dict[str, XmlNode], geometries: dict[str, XmlNode], notes: Counter[str]
 ) -> Pointing | None:
+    """Pointing in the XML element of an observation; None if the reading is not used, which is counted in `notes`."""
     children = {child.tag: child for child in node}
     if "reading" not in children:
         return None
     if "station" not in children:
         raise node.location.error("the observation has no station")
     reading, reference = children["reading"], children["station"].required_attribute("ref")
-    kind = reading.get("type")
-    if node.get("isValid") == "0" or kind not in REQUIRED_QUANTITIES_BY_READING_TYPE:
+    kind = reading.attribute("type")
+    if node.attribute("isValid") == "0" or kind not in REQUIRED_QUANTITIES_BY_READING_TYPE:
         notes[
             f"readings of the type {safe_excerpt(kind)} are not used"
             if kind not in REQUIRED_QUANTITIES_BY_READING_TYPE
@@ -90,23 +97,23 @@ def _parse_pointing(
     if missing_names:
         raise node.location.error(f"the {kind} reading has no {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
-        {name: measurements[name].number("value", limit=1e6) for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind]}
+        {name: measurements[name].read_number("value", limit=1e6) for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind]}
     )
     if distance <= 0:
         raise node.location.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
-    if (reading.get("face") == "2") != (face == 2):
+    if (reading.attribute("face") == "2") != (face == 2):
         notes[
             "readings declare a face that contradicts their zenith angle; the face is taken from the zenith angle"
         ] += 1
     return Pointing(
-        stations[reference].name("name", "station"),
+        stations[reference].read_name("name", "station"),
         _target_name(node, geometries),
         face,
         distance,
         azimuth,
         elevation,
-        _seconds_of_stamp(reading.get("time")),
+        _seconds_of_stamp(reading.attribute("time")),
         _sigmas(measurements),
         source=f"{node.file.name}, line {node.line}",
     )
@@ -115,7 +122,7 @@ def _parse_pointing(
 def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float, float]:
     """Range [m], azimuth [rad] and raw elevation [rad] of a reading; NaN if not measured.
 
-    `values_by_observable` holds ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
+    `values_by_observable` contains ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
     """
     if "x" in values_by_observable:
         d, a, e = to_polar(
@@ -133,8 +140,9 @@ def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float
 
 
 def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
+    """Standard deviations in the units of the recording, by column, from the elements of measured quantities."""
     sigmas = {
-        name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
+        name: nodes[name].read_number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
     }
     unit_by_measurement = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
     return {
@@ -145,19 +153,21 @@ def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
 
 
 def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
-    """Name of the target of an observation: the name of the point it measured, or a separate name on other geometries.
+    """Name of the target of an observation: name of the point geometry, or a separate name on any other geometry.
 
-    `geometries` are the elements of geometries by id.
+    `geometries` are the XML elements of geometries by their id.
     """
     geometries_of_node = [
-        geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries
+        geometries[e.attribute("ref")]
+        for e in node.descendants("measuredTargetGeometry")
+        if e.attribute("ref") in geometries
     ]
-    point_geometry = next((geometry for geometry in geometries_of_node if geometry.get("type") == "point"), None)
+    point_geometry = next((geometry for geometry in geometries_of_node if geometry.attribute("type") == "point"), None)
     if point_geometry is not None:
-        return point_geometry.name("name", "target")
+        return point_geometry.read_name("name", "target")
     observation_id = node.required_attribute("id")
-    return node.location.name(
-        f"{geometries_of_node[0].get('name')}.{observation_id}"
+    return node.location.checked_name(
+        f"{geometries_of_node[0].attribute('name')}.{observation_id}"
         if geometries_of_node
         else f"observation {observation_id}",
         "target",
@@ -165,6 +175,7 @@ def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
 
 
 def _seconds_of_stamp(stamp: str) -> float:
+    """Time [s] of an ISO date and time; NaN if the text is not one."""
     try:
         return datetime.fromisoformat(stamp).replace(tzinfo=None).timestamp()
     except (ValueError, OverflowError, OSError):

@@ -1,8 +1,8 @@
 """Format: plain polar text, ``station target horizontal vertical distance``, one pointing per line.
 
-Blanks, tabs or commas separate the columns; numbers have a decimal point or comma; readings are raw, on one or two
-faces. A line with four columns has no station. Lines that begin with ``#`` are comments; the reader uses the comments
-``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical: zenith``.
+Columns are separated by blanks, tabs or commas; numbers have a decimal point or comma. Readings are raw, in one or two
+faces. A line with four columns has no station. Lines that begin with ``#`` are comments; the reader interprets the
+comments ``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical: zenith``.
 """
 
 import re
@@ -21,33 +21,33 @@ from ltsim.recordings.files import read_lines, safe_excerpt, write_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import is_numeric
-from ltsim.recordings.tables.sheets import head_rows
+from ltsim.recordings.tables.sheets import rows_of_file_beginning
 
-CONVENTION_WORDS = {
+PERMITTED_CONVENTION_WORDS = {
     name: get_args(kind) for name, kind in (("angle", AngleUnit), ("vertical", VerticalKind), ("azimuth", AzimuthSense))
 }
-CONVENTION_WORDS["length"] = get_args(LengthUnit)
+PERMITTED_CONVENTION_WORDS["length"] = get_args(LengthUnit)
 """Permitted words of each convention that a comment can declare."""
 _CONVENTION_COMMENT_PATTERN = re.compile(
     r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII
 )
 """Pattern of a comment that declares units, the sense of the azimuth, or the kind of vertical angle."""
 _POLAR_COMMENT_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
-"""Pattern of a comment on polar data, by which the format is recognised."""
+"""Pattern of a comment that mentions polar data, by which the format is recognised."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if each of the first lines has two names (or, after a comment on polar data, one name) and three numbers."""
-    data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
+    """True if each of the first lines has two names and three numbers, or one name after a comment on polar data."""
+    data_rows = [row.fields for row in rows_of_file_beginning(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
     field_counts = (4, 5) if _POLAR_COMMENT_PATTERN.search(file_beginning) else (5,)
     return bool(sample) and all(len(f) in field_counts and all(map(is_numeric, f[-3:])) for f in sample)
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording from a file of plain polar text.
+    """Recording from plain polar text.
 
-    Raises RecordError for a malformed line, or for a convention that the data do not decide.
+    Raises RecordError for a malformed line, and if the data do not decide a convention, such as the unit of angles.
     """
     return tables.read(
         path, _hints_from_comments(read_lines(path, replaces_undecodable=True), hints, path), positional=True
@@ -55,6 +55,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
+    """Hints of the user, completed by the conventions that comments of the file declare; raises RecordError."""
     for line in islice(lines, 50):
         match = _CONVENTION_COMMENT_PATTERN.fullmatch(line)
         if match is None:
@@ -62,8 +63,8 @@ def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
         key, value, second = match.group(1).lower(), match.group(2).lower(), (match.group(3) or "").lower()
         settings: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
         for name, word in settings.items():
-            if word and word not in CONVENTION_WORDS[name]:
-                choices = ", ".join(CONVENTION_WORDS[name])
+            if word and word not in PERMITTED_CONVENTION_WORDS[name]:
+                choices = ", ".join(PERMITTED_CONVENTION_WORDS[name])
                 message = f"'{safe_excerpt(line)}' contains {safe_excerpt(word)}, expected one of {choices}"
                 raise RecordError(message, file=file)
         undecided = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}

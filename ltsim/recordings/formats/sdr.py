@@ -1,8 +1,8 @@
 """Format: Sokkia SDR field books, SDR20 (SDR2x) and SDR33, also written by total stations of other makers.
 
-A record is a line with fields of fixed width; it begins with two digits for its kind and two letters for its origin.
+A record is a line with fields of fixed width. It begins with two digits for its kind and two letters for its origin.
 The reader supports the header (00, with the units), instruments (01), stations (02), heights of targets (03) and
-observations on both faces (09F1, 09F2). Names and numbers have 4 and 10 characters in SDR20, 16 and 16 in SDR33. Angles
+observations in both faces (09F1, 09F2). In SDR20 names have 4 characters and numbers 10; in SDR33 both have 16. Angles
 are decimal, directions clockwise.
 """
 
@@ -21,24 +21,25 @@ from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
-"""Pattern of the beginning of a header record; group 1 is the version of the format."""
-FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
+"""Pattern of the beginning of a header record; group 1 is the version of the format (20 or 33)."""
+FIELD_WIDTHS_BY_VERSION = {"20": (4, 10), "33": (16, 16)}
 """Number of characters of a name and of a number, by version of the format (SDR20 or SDR33)."""
-SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
-"""Factor to rad by the code of the unit of angles in the header record."""
-SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
-"""Factor to m by the code of the unit of lengths in the header record."""
+SDR_ANGLE_FACTORS_BY_UNIT_CODE = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
+"""Factor to rad, by the code of the angle unit in the header record."""
+SDR_LENGTH_FACTORS_BY_UNIT_CODE = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
+"""Factor to m, by the code of the length unit in the header record."""
 UNIT_CODES_SLICE = slice(40, 45)
 """Character positions of the unit codes in the header record."""
 VERTICAL_ZERO_CODE_POSITION = 50
-"""Character position, in the instrument record, of the code for the zero of vertical angles (zenith or horizon)."""
+"""Character position, in the instrument record, of the code for the zero direction of vertical angles (zenith or
+horizon)."""
 OBSERVATION_RECORD_PREFIXES = ("09F1", "09F2")
-"""Beginnings of the records with raw observations on face 1 and face 2."""
+"""Beginnings of records with raw observations in face 1 and face 2."""
 
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Dialect of an SDR file: characters of names and numbers, factors to rad and m, order of the plan coordinates."""
+    """Dialect of an SDR file: width of names and numbers, factors to rad and m, and order of the plan coordinates."""
 
     name_width: int
     number_width: int
@@ -48,6 +49,7 @@ class _Dialect:
 
     @classmethod
     def from_header(cls, header: str, location: SourceLocation) -> "_Dialect":
+        """Dialect that the header record declares; raises RecordError."""
         match = _HEADER_PATTERN.match(header)
         if match is None:
             raise location.error(
@@ -55,17 +57,22 @@ class _Dialect:
             )
         units = header[UNIT_CODES_SLICE].ljust(5, "1")
         for digit, units_of, what in (
-            (units[0], SDR_ANGLE_FACTORS, "angles"),
-            (units[1], SDR_LENGTH_FACTORS, "distances"),
+            (units[0], SDR_ANGLE_FACTORS_BY_UNIT_CODE, "angles"),
+            (units[1], SDR_LENGTH_FACTORS_BY_UNIT_CODE, "distances"),
         ):
             if digit not in units_of:
                 raise location.error(
                     f"found the unit '{safe_excerpt(digit)}' of {what}, expected one of {', '.join(units_of)}"
                 )
-        return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
+        return cls(
+            *FIELD_WIDTHS_BY_VERSION[match[1]],
+            SDR_ANGLE_FACTORS_BY_UNIT_CODE[units[0]],
+            SDR_LENGTH_FACTORS_BY_UNIT_CODE[units[1]],
+            units[4] != "2",
+        )
 
     def fields(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
-        """Texts of the first `n_names` names in the record `line`, and texts of the `n_numbers` numbers after them."""
+        """Texts of the first `n_names` names in the record `line`, and of the `n_numbers` numbers after them."""
         start = 4
         widths = [self.name_width] * n_names + [self.number_width] * n_numbers
         cells = []
@@ -83,7 +90,7 @@ def recognises(_: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from an SDR file.
 
-    Raises RecordError for a malformed record, or for observations from an unknown station.
+    Raises RecordError for a malformed record, and for an observation from another station than the latest one.
     """
     book = FieldBook(path)
     lines = read_lines(path, replaces_undecodable=True)
@@ -115,6 +122,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_setup(line: str, dialect: _Dialect, field_book: FieldBook, location: SourceLocation) -> None:
+    """Addition of the set-up in a station record (02) to the field book."""
     (name,), (first, second, z_text, height) = dialect.fields(line, 1, 4)
     plan_coordinates = [_parse_number(text, location) * dialect.length_factor / MILLIMETRE for text in (first, second)]
     y, x = plan_coordinates if dialect.is_north_first else plan_coordinates[::-1]
@@ -138,6 +146,10 @@ def _read_observation(
     height: float,
     is_from_horizon: bool,
 ) -> None:
+    """Addition of the pointing in an observation record (09F1, 09F2) to the field book; raises RecordError.
+
+    `height` is the height of the target [m]; `is_from_horizon` is True if vertical angles are elevations.
+    """
     (station, target), cells = dialect.fields(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
@@ -156,4 +168,5 @@ def _read_observation(
 
 
 def _parse_number(text: str, location: SourceLocation) -> float:
-    return location.number(text) if text.strip() else NOT_MEASURED
+    """Number in a field of a record; NaN for an empty field."""
+    return location.parse_number(text) if text.strip() else NOT_MEASURED

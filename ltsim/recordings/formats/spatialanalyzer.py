@@ -1,9 +1,9 @@
 """Format: instrument report of SpatialAnalyzer (``Instruments - CompositeReport``) exported as text.
 
-The report has a section for each set-up: its pose (``Transform``), then a table of its observations. Cells are
-separated by semicolons (with decimal commas) or by commas (with decimal points); headings contain the units. The column
-called elevation may contain zenith angles; the values decide. The poses decide the sense of the azimuth, and whether
-points with one name in different groups are the same point.
+The report has a section for each set-up: its pose (``Transform``), then a table of observations. Cells are separated by
+semicolons (with decimal commas) or by commas (with decimal points). Headings contain the units. The column with the
+title elevation may contain zenith angles, which the values show. The poses determine the sense of the azimuth. They
+also show whether points with one name in different groups are one point.
 """
 
 import csv
@@ -25,7 +25,7 @@ from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.interpretation import interpret_readings
 from ltsim.recordings.tables.pointing_table import PointingTable
@@ -34,24 +34,24 @@ from ltsim.recordings.tables.rows import read_pointing_table
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
-"""Word in the title of a report by which it is recognised."""
+"""Word in the title of a report, by which the format is recognised."""
 MAX_SAME_POINT_DISTANCE = 2e-3
-"""Distance [m] below which points with the same name in two groups count as the same target."""
+"""Distance [m] below which points with one name in two groups are one target."""
 MAX_REPORT_OBSERVATIONS = 150_000
-"""Largest number of observations in a report; each takes 2.4 kB and 0.1 ms."""
+"""Largest permitted number of observations in a report; each takes 2.4 kB of memory and 0.1 ms."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
-"""Roles of the columns in the table of a set-up, in the notation of the option --columns."""
+"""Roles of the columns in the table of a set-up, in the notation of the option `--columns`."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
-"""Permitted units of each column that the table of a set-up must have; None for a column without unit."""
-USED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
-"""Columns in the table of a set-up that are read; others are ignored."""
+"""Columns that the table of a set-up must have, with their permitted units; None for a column without unit."""
+USED_REPORT_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
+"""Titles of the columns that are read from the table of a set-up; other columns are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 """Pattern of the heading of a table of observations."""
 
 
 @dataclass
 class _SetupSection:
-    """Section of a report on one set-up: collection, number and model of its instrument, pose, observations."""
+    """Section of a report about one set-up: collection, number and model of the instrument, pose, observations."""
 
     collection: str
     number: str
@@ -61,7 +61,7 @@ class _SetupSection:
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
     rotation_angles: Floats | None = None
-    """Rotation angles (3,) [rad] about the fixed axes x, y, z."""
+    """Rotation angles (3,) [rad] of the instrument about the fixed axes x, y, z."""
     rows: list[SheetRow] = field(default_factory=list)
     """Heading row and data rows of the table of observations."""
 
@@ -72,7 +72,7 @@ class _SetupSection:
 
     @property
     def pose(self) -> StationPoseArrays | None:
-        """Pose of the set-up: rotation to the network frame (3, 3), position (3,) [m]; None if the section has none."""
+        """Pose of the set-up: rotation (3, 3) to the network frame, position (3,) [m]; None if the section has none."""
         if self.position is None or self.rotation_angles is None:
             return None
         from scipy.spatial.transform import Rotation
@@ -88,7 +88,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording from an instrument report.
 
-    Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
+    Raises RecordError for a malformed or truncated report, and if the data do not decide a convention.
     """
     blocks = [block for block in _read_setup_sections(path) if block.rows]
     if not blocks:
@@ -96,7 +96,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     names = _station_names(blocks)
     active_rows = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     report_notes, n_inactive = (
-        [NO_NOISE_NOTE],
+        [ASSUMED_TRACKER_NOISE_NOTE],
         sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, active_rows, strict=True)),
     )
     if n_inactive:
@@ -116,7 +116,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     }
     group_names = [group_by_line[line] for line in table.pointings.line]
     for i, name in enumerate(group_names):
-        table.pointings.source_location(i).text(name, "Group")
+        table.pointings.source_location(i).checked_text(name, "Group")
     poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
     ordered_names = dict.fromkeys(table.pointings.station)
     pose_by_index = {i: pose for i, name in enumerate(ordered_names) if (pose := poses[name]) is not None}
@@ -147,7 +147,7 @@ def _read_sheet_rows(path: Path) -> Iterator[SheetRow]:
 
 
 def _read_setup_sections(path: Path) -> list[_SetupSection]:
-    """Sections of the set-ups in a report, in order; parts of a section on several pages are joined.
+    """Sections of a report, one per set-up, in order; a section that continues on another page is joined.
 
     Raises RecordError.
     """
@@ -173,14 +173,14 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
             block_of_row.rows.append(row)
     for block in blocks.values():
         if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
-            held = f"{block.n_declared_observations} observations but contains {len(block.rows) - 1}"
+            held = f"{block.n_declared_observations} observations, but contains {len(block.rows) - 1}"
             message = f"set-up {safe_excerpt(block.number)} declares {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
 
 def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
-    """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
+    """Collection, number and model of the instrument from a heading such as ``A::0 - Leica AT960``."""
     text = cell.partition("\n")[2].strip()
     if not text or "\n" in text:
         raise location.error("the block has no name of its set-up")
@@ -191,10 +191,11 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
 
 
 def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
+    """Addition of the position or the rotation in a line of the pose to the section of its set-up."""
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.n_declared_observations = int(location.number(fields[1], "# Meas.", allows_decimal_comma=True))
+        block.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
-        values = np.array([location.number(text, allows_decimal_comma=True) for text in fields[1:4]])
+        values = np.array([location.parse_number(text, allows_decimal_comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]
@@ -220,21 +221,21 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
 
 
 def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
-    """Table of `sheet_rows` of the set-up `name`, with only the columns in `USED_COLUMNS`.
+    """Table with the rows `sheet_rows` of the set-up `name`, reduced to the columns in `USED_REPORT_COLUMNS`.
 
-    The titles of columns with offsets of reflectors are changed so that they end with the unit.
+    Titles of columns with offsets of reflectors are changed to end with the unit.
     """
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
-        if word in USED_COLUMNS:
+        if word in USED_REPORT_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
     body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
 def _station_names(blocks: Sequence[_SetupSection]) -> list[str]:
-    """Name of the station of each section: ``Instrument_0`` if instrument numbers are unique, or ``COLLECTION::0``."""
+    """Station name of each section: ``Instrument_0`` if instrument numbers are unique, otherwise ``COLLECTION::0``."""
     block_numbers = [block.number for block in blocks]
     if len(set(block_numbers)) == len(block_numbers):
         return [f"Instrument_{number}" for number in block_numbers]
@@ -244,10 +245,10 @@ def _station_names(blocks: Sequence[_SetupSection]) -> list[str]:
 def _prefix_ambiguous_points(
     table: PointingTable, group_names: Sequence[str], readings: Floats, poses: dict[str, StationPoseArrays | None]
 ) -> list[str]:
-    """Addition, in place, of the group to target names that stand for several points; the result is a list of notes.
+    """Addition, in place, of the group to names of targets that denote several points; the result is a list of notes.
 
-    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each of n
-    pointings; `poses` are those of the stations by name.
+    `group_names` is the group of each of n pointings, `readings` (n, 3) [m, rad, rad] are their ranges, azimuths and
+    elevations. `poses` are the poses of the stations by name.
     """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     pointings = table.pointings
@@ -273,10 +274,10 @@ def _prefix_ambiguous_points(
 
 
 def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
-    """New name, by group, of points in several groups that are all called `name` but are different points.
+    """New name, by group, for different points in several groups that all have the name `name`.
 
-    `groups` holds the station and the position (3,) [m] of each pointing, by group. The point that was measured from
-    most stations, and among equals with most pointings, keeps the name.
+    `groups` contains, by group, the station and the position (3,) [m] of each pointing. The point measured from most
+    stations keeps the name; among several of these, the one with most pointings.
     """
     clusters: list[tuple[Floats, list[str]]] = []
     indices_by_cell: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
@@ -307,7 +308,7 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
 
 
 def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
-    """Set-up with the poses in the report as rough poses, and one instrument for each model."""
+    """Set-up with the poses of the report as approximate poses, and one instrument for each model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):
         position = yaw = None
@@ -317,5 +318,5 @@ def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) ->
                 yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
         stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
     models = sorted({block.model for block in blocks if block.model})
-    instruments = {SourceLocation(file).name(model, "instrument"): Instrument() for model in models}
+    instruments = {SourceLocation(file).checked_name(model, "instrument"): Instrument() for model in models}
     return Setup(title=file.stem, instruments=instruments, stations=stations)

@@ -1,4 +1,4 @@
-"""Formats that are recognised but not read, and what to export instead."""
+"""Formats that are recognised but cannot be read, with advice on what to export instead."""
 
 import re
 from dataclasses import dataclass
@@ -6,18 +6,20 @@ from dataclasses import dataclass
 FIELD_BOOK_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
-"""Advice to a user whose file is a field book of a total station in an unsupported format."""
-ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Advice to a user whose file comes from a numerical program, such as MATLAB."""
-DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
-"""Advice to a user whose file is the database in which a metrology program stores its jobs."""
-WORKBOOKS_ADVICE = "save it as xlsx or CSV"
-"""Advice to a user whose file is a workbook in an unsupported format."""
+"""Advice on what to export instead of a total station's field book in an unsupported format."""
+NUMERICAL_PROGRAM_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
+"""Advice on what to write instead of a file of a numerical program, such as MATLAB."""
+METROLOGY_DATABASE_ADVICE = (
+    "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
+)
+"""Advice on what to export instead of the database in which a metrology program stores its jobs."""
+UNSUPPORTED_WORKBOOK_ADVICE = "save it as xlsx or CSV"
+"""Advice on what to save instead of a workbook in an unsupported format."""
 
 
 @dataclass(frozen=True)
 class UnsupportedFormat:
-    """Format that is recognised by a pattern of its first characters, with advice on what to export instead."""
+    """Format that cannot be read: name, pattern of the beginning of its files, advice on what to export instead."""
 
     name: str
     pattern: re.Pattern[str]
@@ -25,10 +27,11 @@ class UnsupportedFormat:
 
 
 _XML_PROLOGUE = r"\s*+(?:<\?xml[^>]*+>\s*+)?+(?:(?><!--.*?-->)\s*+)*+"
-"""Pattern of what may precede the root element of an XML file: a declaration and comments."""
+"""Pattern of the text before the root element of an XML file: declaration and comments."""
 
 
 def _make_format(name: str, pattern: str, export_advice: str = FIELD_BOOK_ADVICE) -> UnsupportedFormat:
+    """Unsupported format whose files begin with the regular expression `pattern`."""
     return UnsupportedFormat(name, re.compile(pattern, re.DOTALL), export_advice)
 
 
@@ -53,13 +56,14 @@ UNSUPPORTED_FORMATS = (
         r"(?:M\s++\S[^\s-]*+-\S[^\s-]*+-\S++\s|DB\s++\S++[^\S\n]*+\n\s*+D[MN]\s)",
     ),
     _make_format("a field book in the format GEO (GeoEasy)", r"\s*+\{\s*+\d++\s[^}]*+\}\s*+\{\s*+\d++\s"),
-    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS_ADVICE),
-    _make_format("a JSON array", r"\s*+\[\s*+[\[{\d\"-]", ARRAYS_ADVICE),
-    _make_format("a JSON object", r"\s*+\{\s*+\"[^\"\n]*+\"\s*+:", ARRAYS_ADVICE),
-    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES_ADVICE),
-    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS_ADVICE),
-    _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS_ADVICE),
+    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a JSON array", r"\s*+\[\s*+[\[{\d\"-]", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a JSON object", r"\s*+\{\s*+\"[^\"\n]*+\"\s*+:", NUMERICAL_PROGRAM_ADVICE),
+    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", METROLOGY_DATABASE_ADVICE),
+    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", UNSUPPORTED_WORKBOOK_ADVICE),
+    _make_format(
+        "a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", UNSUPPORTED_WORKBOOK_ADVICE
+    ),
 )
-"""Formats that are not read, in the order in which they are tried. Their patterns look at each character of a file's
-beginning a bounded number of times.
-"""
+"""Formats that cannot be read, in the order in which a file is tested for them. Their patterns need a time proportional
+to the length of the tested text."""

@@ -1,4 +1,4 @@
-"""Parsers of one cell: numbers with point or comma, degrees with minutes and seconds, faces, dates and times."""
+"""Parsers for the text of one cell: numbers, angles in degrees, minutes and seconds, faces, dates and times."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -11,32 +11,33 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER_PATTERN, is_number
+from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, NUMBER_PATTERN, is_number
 
 FACE_WORDS = (
     "1 1.0 i f1 face1 facei lage1 lagei 1st f front direct d l left links cl a",
     "2 2.0 ii f2 face2 faceii lage2 lageii 2nd b back reverse r right rechts cr",
 )
-"""Words for face 1, and words for face 2."""
+"""Words that denote face 1, and words that denote face 2, separated by blanks."""
 FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for word in words.split()}
-"""Face (1 or 2) by each word that stands for it."""
+"""Face (1 or 2) that each word denotes."""
 MISSING_VALUE_TEXTS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
-"""Texts that programs write in cells without a value."""
+"""Texts that programs write into cells without value."""
 ValueType = TypeVar("ValueType")
+"""Type of a parsed cell."""
 DAY_DURATION = timedelta(days=1)
-"""Time span of a day."""
-MAX_VALUE_LENGTH = 60
-"""Number of characters above which a cell is not tested as a number or an angle."""
+"""Duration of a day."""
+MAX_VALUE_TEXT_LENGTH = 60
+"""Largest number of characters of a cell that is tested as a number or an angle."""
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
-"""Pattern of a symbol of degrees."""
+"""Pattern of a symbol for degrees."""
 _MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
-"""Pattern of a symbol of minutes of arc."""
+"""Pattern of a symbol for minutes of arc."""
 _SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
-"""Pattern of a symbol of seconds of arc."""
+"""Pattern of a symbol for seconds of arc."""
 _ANGLE_SEPARATOR_PATTERN = r":|-|\s"
-"""Pattern of a separator of degrees, minutes and seconds without symbols."""
+"""Pattern of a separator between degrees, minutes and seconds without symbols."""
 _SEXAGESIMAL_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
-"""Pattern of a number of minutes or seconds."""
+"""Pattern of a number of minutes or seconds, with or without decimals."""
 _SEXAGESIMAL_PATTERN = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
 )
@@ -48,21 +49,21 @@ _DEGREES_AND_MINUTES_PATTERN = re.compile(
 _CENTESIMAL_PATTERN = re.compile(
     r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
 )
-"""Pattern of an angle in gon with its hundredths (c) and ten-thousandths (cc)."""
+"""Pattern of an angle in gon with its hundredths (c) and ten-thousandths (cc), such as 43g71c20cc."""
 UNIT_BY_SYMBOL = {
     **dict.fromkeys(("g", "gon", "gr", "grd", "ᵍ"), "gon"),
     **dict.fromkeys(("°", "º", "deg"), "deg"),
     **{unit: unit for unit in ("rad", "mm", "cm", "m", "ft", "in")},
 }
-"""Unit by its symbol after the number in a cell."""
+"""Unit that each symbol after a number denotes."""
 _NUMBER_WITH_UNIT_PATTERN = re.compile(
     rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_SYMBOL, key=len, reverse=True))})", re.IGNORECASE
 )
-"""Pattern of a number followed by one of `UNIT_BY_SYMBOL`."""
+"""Pattern of a number followed by a symbol in `UNIT_BY_SYMBOL`."""
 _PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
-"""Pattern of degrees whose decimals are minutes and seconds."""
+"""Pattern of degrees whose decimals contain minutes and seconds, such as 33.120747."""
 _NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
-"""Pattern of texts with only the characters of decimal numbers."""
+"""Pattern of texts that contain only characters of decimal numbers."""
 _TIME_OF_DAY_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
 _SPELLED_TIME_OF_DAY_PATTERN = re.compile(
@@ -83,9 +84,9 @@ _MONTH_NAMES = (
     "nov november",
     "dec december dez dezember",
 )
-"""English and German names of each month from January on, separated by blanks."""
+"""English and German names of each month from January to December, separated by blanks."""
 _MONTH_BY_NAME = {name: str(number) for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
-"""Number of a month, as text, by each of its names."""
+"""Number of the month, as text, that each name denotes."""
 _MONTH_NAME_PATTERN = re.compile(r"(\d{1,2})[.\s-]*([^\W\d_]+)[.,\s-]+(\d{4})|([^\W\d_]+)\.?\s+(\d{1,2}),?\s+(\d{4})")
 """Pattern of a date with the name of its month: ``1-Mar-2026``, ``1. März 2026``, ``Mar 1, 2026``."""
 _COMPACT_STAMP_PATTERN = re.compile(
@@ -93,15 +94,15 @@ _COMPACT_STAMP_PATTERN = re.compile(
 )
 """Pattern of a date and time in the basic format of ISO 8601: ``20260301T080020``."""
 _DATE_ORDERS = ("ymd", "dmy", "mdy")
-"""Orders of year, month and day in dates, most likely first."""
+"""Possible orders of year, month and day in dates, the most likely first."""
 _DATE_ORDERS_12_HOURS = ("ymd", "mdy", "dmy")
-"""Orders of year, month and day, most likely first, for dates with a time of 12 hours (am, pm)."""
+"""Possible orders of year, month and day in dates with a 12-hour time (am, pm), the most likely first."""
 _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
-"""Pattern of a date of three numbers with equal separators."""
+"""Pattern of a date of three numbers with the same separator twice."""
 
 
 def python_number_text(text: str) -> str:
-    """Text of a number in Python's notation, from text with a decimal comma or point and possibly a degree sign."""
+    """Number in Python's notation, from a text with decimal comma or point and possibly a degree symbol."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
@@ -110,20 +111,20 @@ def python_number_text(text: str) -> str:
     return text.replace(thousands_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
-_GROUPED_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
-"""Pattern of a number with groups of three digits, by the mark (point or comma) between the groups."""
+_GROUPED_NUMBER_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+"""Pattern of a number with separated groups of three digits, by their separator (point or comma)."""
 _COMMA_AND_POINT_PATTERN_BY_MARK = {
-    mark: re.compile(_GROUPED_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
+    mark: re.compile(_GROUPED_NUMBER_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
     for mark, other in (".,", ",.")
 }
-"""Pattern of a number with comma and point, by the mark that separates its groups of three digits."""
+"""Pattern of a number with comma and point, by the one that separates groups of three digits."""
 
 
 def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
-    """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
+    """Thousands separator in the numbers of a sheet, point or comma; '' if there is none.
 
-    ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError, which names `file`, if
-    both separators occur.
+    For example, ``7.000,5`` in a cell shows that ``7.000`` in another cell is 7000. Raises RecordError, which names
+    `file`, if both separators occur.
     """
     mixed_cells = (cell for row in sheet_rows for cell in row if "," in cell and "." in cell)
     cell_by_separator = {
@@ -141,8 +142,8 @@ def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object
 
 
 def is_numeric(text: str) -> bool:
-    """True if a cell is a number or an angle in degrees, minutes and seconds."""
-    return len(text) <= MAX_VALUE_LENGTH and (
+    """True if the text of a cell is a number, or an angle in degrees, minutes and seconds."""
+    return len(text) <= MAX_VALUE_TEXT_LENGTH and (
         is_number(text)
         or is_number(python_number_text(text))
         or _parse_sexagesimal(text) is not None
@@ -151,9 +152,9 @@ def is_numeric(text: str) -> bool:
 
 
 def split_unit_symbol(text: str) -> tuple[str, str] | None:
-    """Number and unit of a cell with a unit symbol (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without one."""
+    """Number and unit in a cell with a unit symbol (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); otherwise None."""
     text = text.strip()
-    if len(text) > MAX_VALUE_LENGTH or text[-1:].isdigit():
+    if len(text) > MAX_VALUE_TEXT_LENGTH or text[-1:].isdigit():
         return None
     centesimal_match = _CENTESIMAL_PATTERN.fullmatch(text)
     if centesimal_match is not None:
@@ -165,7 +166,7 @@ def split_unit_symbol(text: str) -> tuple[str, str] | None:
 
 
 def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Cells without the symbol of their common unit, and this unit; unchanged cells and '' without a common unit."""
+    """Cells without their unit symbol, and the unit, if all have one unit; otherwise unchanged cells and ''."""
     filled = list(filter(None, texts))
     first_split = split_unit_symbol(filled[0]) if filled else None
     if first_split is None:
@@ -182,25 +183,27 @@ def is_sexagesimal(text: str) -> bool:
 
 
 def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
-    """Exact value of a cell with a plain number; None for any other cell.
+    """Exact value of a cell that is a plain number; None for any other cell.
 
-    `thousands_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the separator used in the sheet, '' for none.
     """
     text = text.strip()
-    if len(text) > MAX_VALUE_LENGTH:
+    if len(text) > MAX_VALUE_TEXT_LENGTH:
         return None
     digits = python_number_text(
         text.replace(thousands_separator, "")
-        if thousands_separator and _GROUPED_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
+        if thousands_separator and _GROUPED_NUMBER_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
         else text
     )
     return Decimal(digits) if is_number(digits) else None
 
 
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
-    """Floating-point numbers (n,) of n cells, NaN for an empty one; None if a cell is no decimal number in ASCII."""
+    """Numbers (n,) in n cells, NaN for an empty cell; None if a cell is not a decimal number in ASCII."""
     joined_text = "".join(texts)
-    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _NUMBER_CHARACTERS_PATTERN.fullmatch(joined_text):
+    if max(map(len, texts), default=0) > MAX_NUMBER_TEXT_LENGTH or not _NUMBER_CHARACTERS_PATTERN.fullmatch(
+        joined_text
+    ):
         return None
     if "e" in joined_text.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
         return None
@@ -211,28 +214,28 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
 
 
 def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal | None:
-    """Exact value of a cell with a number, or with an angle with minutes and seconds [deg]; None for any other cell.
+    """Exact value of a number, or of an angle in degrees, minutes and seconds [deg], in a cell; None for other cells.
 
-    `thousands_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the separator used in the sheet, '' for none.
     """
     plain_number = parse_number(text, thousands_separator)
     return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
 def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
-    """Exact value of a cell with a number, or an angle with minutes and seconds [deg]; None for a date or a time.
+    """Exact value as from `parse_number_or_angle`; None for a cell that is a date or a time.
 
-    `thousands_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the separator used in the sheet, '' for none.
     """
     return None if not is_number(text) and is_date_or_time(text) else parse_number_or_angle(text, thousands_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:
-    """Degrees from a cell whose decimals are minutes and seconds (``33.120747``: 33° 12' 07.47").
+    """Degrees from a cell whose decimals contain minutes and seconds: 33.120747 is 33° 12' 07.47".
 
-    Degrees, minutes and seconds with symbols are read too. None for any other cell.
+    Degrees, minutes and seconds with symbols are accepted too. None for any other cell.
     """
-    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
+    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_TEXT_LENGTH else None
     if match is None:
         return _parse_sexagesimal(text)
     sign, degrees, rest = match.groups(default="")
@@ -241,8 +244,8 @@ def parse_packed_degrees(text: str) -> Decimal | None:
 
 
 def _parse_sexagesimal(text: str) -> Decimal | None:
-    """Degrees from a cell in degrees, minutes and seconds, or degrees and minutes; None for any other cell."""
-    if len(text) > MAX_VALUE_LENGTH:
+    """Degrees from a cell with degrees, minutes and possibly seconds; None for any other cell."""
+    if len(text) > MAX_VALUE_TEXT_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
     match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _DEGREES_AND_MINUTES_PATTERN.fullmatch(text)
@@ -250,7 +253,7 @@ def _parse_sexagesimal(text: str) -> Decimal | None:
 
 
 def _degrees_from_parts(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
-    """Degrees from degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
+    """Degrees from texts of degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
     minutes_and_seconds = Decimal(minutes), Decimal(seconds or 0)
     if minutes_and_seconds[0] >= 60 or minutes_and_seconds[1] > 60:
         return None
@@ -259,15 +262,15 @@ def _degrees_from_parts(sign: str, degrees: str, minutes: str, seconds: str) -> 
 
 
 def parse_face(text: str) -> int | None:
-    """Face 1 or 2; None if the cell does not name a face."""
+    """Face 1 or 2 that a cell denotes; None for any other cell."""
     return FACE_BY_WORD.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
 
 
 def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[list[float] | None, str]:
-    """Seconds after the earliest of several times, dates, or dates with times, and this earliest one in ISO format.
+    """Seconds of dates or times after the earliest of them, and the earliest one in ISO format.
 
     `date_order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The result is (None, "") if a
-    text is no date or time, and (None, "?") if the order is ambiguous.
+    text is not a date or time, and (None, "?") if the order of day and month is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_time_of_day, texts)
@@ -284,7 +287,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
 
 
 def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
-    """Results of `convert` for all texts; None if it returns None for any of them."""
+    """Results of `convert` for all texts; None if one of them is None."""
     converted = []
     for text in texts:
         value_of_text = convert(text)
@@ -295,14 +298,14 @@ def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str
 
 
 def is_date_or_time(text: str) -> bool:
-    """True if a cell is a time of day, a date or both."""
+    """True if the text of a cell is a date, a time of day or both."""
     return has_time_of_day(text) or any(
         _parse_date_and_time(_without_apostrophe(text), letters, None) is not None for letters in _DATE_ORDERS
     )
 
 
 def has_time_of_day(text: str) -> bool:
-    """True if a cell is a time of day, with or without a date."""
+    """True if the text of a cell contains a time of day, with or without a date."""
     plain_text = _without_apostrophe(text)
     return (
         ":" in plain_text or "h" in plain_text.lower() or _COMPACT_STAMP_PATTERN.fullmatch(plain_text) is not None
@@ -313,19 +316,19 @@ def has_time_of_day(text: str) -> bool:
 
 
 def _without_apostrophe(text: str) -> str:
-    """Date or time without the leading apostrophe with which spreadsheets store it as text."""
+    """Date or time without the leading apostrophe that spreadsheets use to mark a text."""
     return text.strip().removeprefix("'").strip()
 
 
 def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[list[float], str]:
-    """Time [s] of each stamp after the earliest one, and the earliest one in ISO format (with date if `has_date`)."""
+    """Seconds of each of the `stamps` after the earliest, and the earliest in ISO format (with date if `has_date`)."""
     earliest = min(stamps)
     moment = earliest.isoformat() if has_date else earliest.time().isoformat()
     return [(stamp - earliest).total_seconds() for stamp in stamps], moment
 
 
 def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
-    """Times since the first midnight, from times of day in order: each decrease by more than half a day adds a day."""
+    """Times since the first midnight, from times of day in order; a decrease by over half a day adds one day."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
         if last - clock > DAY_DURATION / 2:
@@ -336,6 +339,7 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
 
 
 def _parse_time_of_day(text: str) -> timedelta | None:
+    """Time of day in a text, as time since midnight; None for any other text."""
     match = _TIME_OF_DAY_PATTERN.fullmatch(text.strip()) or _SPELLED_TIME_OF_DAY_PATTERN.fullmatch(text.strip())
     if match is None:
         return None
@@ -351,7 +355,7 @@ def _parse_time_of_day(text: str) -> timedelta | None:
 
 
 def _with_numeric_month(text: str) -> str:
-    """Date and time as text with a number for the month, and with separators between all parts."""
+    """Date and time as text with the number of the month and with separators between all parts."""
     compact = _COMPACT_STAMP_PATTERN.fullmatch(text)
     if compact is not None:
         year, month, day, hours, minutes, seconds, _ = compact.groups()
@@ -365,10 +369,10 @@ def _with_numeric_month(text: str) -> str:
 
 
 def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> datetime | None:
-    """Date with or without time of day, in the order of `letters` (such as "dmy"); None for any other text.
+    """Date, with or without time of day, whose parts are in the order `letters` (such as "dmy"); None for other texts.
 
-    `date_order` excludes the other order of day and month. The time zone is ignored, because it is the same for all
-    times of a file.
+    `date_order` excludes the other order of day and month. The time zone is ignored, because all times of a file have
+    the same one.
     """
     day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _with_numeric_month(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())

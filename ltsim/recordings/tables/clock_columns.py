@@ -1,4 +1,4 @@
-"""Times of the pointings of a table: the column that contains them, and its conversion."""
+"""Times of the pointings of a table: search for the column of times, and its conversion to seconds."""
 
 from dataclasses import replace
 
@@ -12,19 +12,19 @@ from ltsim.recordings.tables.pointing_table import PointingTable
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
-    """Table with a time column: if no title is that of times, the first additional column with times of day is used.
+    """Table in which the column of times is determined; the table is changed in place.
 
-    A column of rounds becomes an additional column if every round has a single pointing, because a round is a set of
-    directions to several targets. `table` is changed in place.
+    If no title denotes times, the first additional column with times of day is used. A column of rounds in which each
+    round has one pointing becomes an additional column, because a round is a set of directions to several targets.
     """
-    rounds = table.column(("round",))
+    rounds = table.column_with_role(("round",))
     if rounds is not None and table.pointings.every_round_has_single_pointing:
         table.columns = [replace(c, role="") if c is rounds else c for c in table.columns]
         table.notes.append(
-            f"'{safe_excerpt(rounds.title)}' is different for each pointing and not interpreted as the round; if it is "
+            f"'{safe_excerpt(rounds.title)}' differs in each pointing and is not interpreted as the round; if it is "
             f'the time, give --columns "time={safe_excerpt(rounds.title)}[s]"'
         )
-    if table.column(("time",)) is not None:
+    if table.column_with_role(("time",)) is not None:
         return table
     pointings = table.pointings
     for column in table.columns:
@@ -48,8 +48,8 @@ def with_time_column(table: PointingTable) -> PointingTable:
 
 
 def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing (NaN if not readable), moment of time 0 in ISO format ('' if unknown), and notes."""
-    column = table.column(("time",)) or table.column(("date",))
+    """Time [s] of each pointing (NaN if unreadable), date and time of time 0 in ISO format or '', and notes."""
+    column = table.column_with_role(("time",)) or table.column_with_role(("date",))
     texts = table.pointings.date_and_time
     missing = [float("nan")] * len(texts)
     if column is None or not any(texts):

@@ -1,4 +1,4 @@
-"""Option ``--columns``, which assigns roles to the columns of a table by their titles or numbers."""
+"""Option ``--columns``, with which the user states the role (content) of columns of a table, by title or number."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,17 +18,17 @@ from ltsim.recordings.tables.header import (
 from ltsim.recordings.tables.title_words import TITLES_BY_ROLE
 
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLES_BY_ROLE, *SIGMA_ROLES.values())))
-"""Roles that the option ``--columns`` accepts."""
+"""Roles (contents of a column, such as `azimuth`) that the option ``--columns`` accepts."""
 
 
 def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:
-    """Columns of a header with the roles from ``--columns``; None if the header lacks an assigned title.
+    """Columns of a header with the roles that ``--columns`` assigns; None if the header lacks an assigned title.
 
-    `fields` are the titles in the header, `assignments` is ``role=Header[unit],...``. A number in place of a title
-    counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. A column without assignment has the role that
-    its title implies.
+    `fields` are the titles in the header, `assignments` is ``role=Header[unit],...``. A number in place of a title is
+    the number of the column, from 1. ``role=Degrees+Minutes+Seconds`` joins columns. A column without assignment has
+    the role that its title implies.
 
-    Raises RecordError for an unknown role or unit.
+    Raises RecordError, which names `file`, for an unknown role or unit.
     """
     columns = header_columns(fields)
     assigned_columns: dict[int, TableColumn] = {}
@@ -46,7 +46,7 @@ def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> lis
 
 
 def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0 for both), title and unit ('' if not given) of each assignment ``role=Header[unit]``.
+    """Role, face (0 for both), title and unit ('' if not given) of each assignment such as ``role=Header[unit]``.
 
     Raises RecordError, which names `file`, for an unknown role or unit.
     """
@@ -73,9 +73,9 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
 
 
 def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
-    """Position of `title` among `fields`, or positions of the titles that it joins by plus signs.
+    """Positions among `fields` of a title, or of the titles of degrees, minutes and seconds joined by plus signs.
 
-    Joined titles are those of degrees, minutes and seconds. None if `fields` lack any of them.
+    None if a title is missing.
     """
     position = _title_position(fields, title)
     if position is not None or "+" not in title:
@@ -85,7 +85,7 @@ def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | Non
 
 
 def _title_position(fields: Sequence[str], title: str) -> int | None:
-    """Position of `title` among `fields`; None if it is not among them.
+    """Position of a title among `fields`; None if it is missing.
 
     The title may be given without its unit, or as the number of the column, from 1.
     """

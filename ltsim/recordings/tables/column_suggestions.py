@@ -1,4 +1,4 @@
-"""Suggested values of the option ``--columns`` for a table without recognised titles, from its cells."""
+"""Proposals for the option ``--columns`` if the titles of a table are unknown, derived from its cells."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -17,26 +17,26 @@ from ltsim.recordings.tables.header import (
     unknown_unit_sentence,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_LONGEST_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
-"""Largest number of rows from which roles of columns are suggested."""
+"""Largest number of rows from which proposals are derived."""
 MAX_TRIED_ASSIGNMENTS = 20
-"""Largest number of suggested values of ``--columns`` that are tested on the whole sheet, the most likely first."""
+"""Largest number of proposals that are tested by reading the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
-"""Largest number of cells, in the first rows of a table, from which roles of columns are suggested."""
-MAX_LENGTH_IN_METRES = MIN_LONGEST_DISTANCE_MM
-"""Number below which the largest distance or coordinate suggests metres as its unit, and otherwise millimetres."""
+"""Largest number of cells, in the first rows of a table, from which proposals are derived."""
+MAX_LENGTH_READ_AS_METRES = MIN_LONGEST_DISTANCE_MM
+"""Number below which the largest distance or coordinate is probably in metres, and otherwise in millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""
 COLUMNS_TEMPLATE = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 )
-"""Option for a table without recognised titles, with HEADER in place of each title that the user enters."""
+"""Option for a table with unknown titles; the user replaces each HEADER by a title."""
 
 
 def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[str], bool]) -> str:
-    """Sentence on a header without recognised titles, with a suggestion for the option ``--columns``.
+    """Sentence for the user on a header with unknown titles, with a proposal for the option ``--columns`` if any.
 
     `is_readable_with` returns True for a value of ``--columns`` with which the sheet can be read.
     """
@@ -63,7 +63,7 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
 
 
 def _column_reference(position: int, titles: Sequence[str]) -> str:
-    """Title of the column at `position` for the option ``--columns``; its number if the title cannot be used there."""
+    """Title of the column at `position`, or its number if the title cannot be written in the option ``--columns``."""
     title = titles[position]
     is_usable = title and titles.count(title) == 1 and not any(sign in title for sign in ',+=[]"')
     return title if is_usable else str(position + 1)
@@ -77,10 +77,10 @@ def sample_rows(sheet: TableSheet) -> list[SheetRow]:
 
 
 def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str]]) -> list[str]:
-    """Values of ``--columns`` that the cells permit, most likely first.
+    """Proposals for ``--columns`` that agree with the cells, the most likely first.
 
-    `titles` are those of all columns, `first_rows` the sample of rows. Each value assigns names, a face, and readings
-    or coordinates.
+    `titles` are the titles of all columns, `first_rows` the sample of rows. Each proposal assigns names, a face, and
+    readings or coordinates.
     """
     columns: list[tuple[str, ...]] = list(zip(*first_rows, strict=True))
     time_columns = [
@@ -137,7 +137,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
     ]
     axes = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else number_columns[:3]
-    unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_IN_METRES else "mm"
+    unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_READ_AS_METRES else "mm"
     coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
     is_polar = any(_has_sexagesimal_cells(columns[i]) for i in number_columns)
     is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
@@ -146,7 +146,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
 
 
 def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
-    """Positions of the column of each possible angle, followed by those of its minutes and seconds if there are any."""
+    """Positions of the column of each possible angle, followed by those of its minutes and seconds if separate."""
     angles: list[tuple[int, ...]] = []
     used_columns: set[int] = set()
     for i in number_columns:
@@ -171,14 +171,14 @@ def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> lis
 
 
 def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
-    """True if all numbers in a column are at least 0 and below 60, as minutes and seconds are."""
+    """True if all numbers in a column are at least 0 and below 60, as numbers of minutes and seconds are."""
     return all(0 <= number < 60 for number in _column_numbers(column))
 
 
 def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Pairs of angle unit and kind of vertical angle that numbers and title permit, most likely first.
+    """Pairs of angle unit and kind of vertical angle that agree with numbers and title, the most likely first.
 
     `horizontal` and `vertical` are the positions of the columns of both angles.
     """
@@ -186,7 +186,7 @@ def _possible_conventions(
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
-    elif max_value < MAX_CIRCLE_RADIANS:
+    elif max_value < MAX_ANGLE_READ_AS_RADIANS:
         units = ("rad",)
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
@@ -201,7 +201,7 @@ def _distance_assignments(
 ) -> list[list[str]]:
     """Assignment `role=title[unit]` for the first candidate column whose cells may be distances, as [[assignment]].
 
-    The result is [] if there is no such column. The unit is that of the title. A title without unit has metres if the
+    The result is [] if there is no such column. The unit is that in the title. Without one it is the metre if the
     column `angle` is in degrees, minutes and seconds; otherwise the size of the numbers decides.
     """
     candidates = [
@@ -214,37 +214,40 @@ def _distance_assignments(
     lengths = []
     for i in candidates[:1]:
         title_unit = title_words_and_unit(titles[i])[1]
-        metres = _is_sexagesimal(angle, columns) or _largest_magnitude(columns[i]) < MAX_LENGTH_IN_METRES
+        metres = _is_sexagesimal(angle, columns) or _largest_magnitude(columns[i]) < MAX_LENGTH_READ_AS_METRES
         unit = title_unit if title_unit in LENGTH_UNITS else "m" if metres else "mm"
         lengths.append([f"{role}={titles[i]}[{unit}]"])
     return lengths
 
 
 def _is_sexagesimal(angle: Sequence[int], columns: CellsByColumn) -> bool:
+    """True if the column or columns of an angle contain degrees, minutes and seconds."""
     return len(angle) > 1 or _has_sexagesimal_cells(columns[angle[0]])
 
 
 @lru_cache(maxsize=1024)
 def _has_sexagesimal_cells(column: tuple[str, ...]) -> bool:
-    """True if any cell of a column is an angle in degrees, minutes and seconds."""
+    """True if a cell of a column is an angle in degrees, minutes and seconds."""
     return cells.plain_numbers(column) is None and any(map(cells.is_sexagesimal, column))
 
 
 def _joined_titles(positions: Sequence[int], titles: Sequence[str]) -> str:
-    """Titles of the columns at `positions`, joined by plus signs as in the option ``--columns``."""
+    """Titles of the columns at `positions`, joined by plus signs for the option ``--columns``."""
     return "+".join(titles[i] for i in positions)
 
 
 @lru_cache(maxsize=1024)
 def _column_numbers(column: tuple[str, ...]) -> list[Decimal]:
+    """Numbers in the cells of a column."""
     return [number for cell in column if (number := cells.parse_number_or_angle(cell)) is not None]
 
 
 def _largest_magnitude(column: tuple[str, ...]) -> Decimal:
+    """Largest magnitude of the numbers in a column."""
     return max(map(abs, _column_numbers(column)), default=Decimal(0))
 
 
 @lru_cache(maxsize=1024)
 def _has_fraction(column: tuple[str, ...]) -> bool:
-    """True if any number in a column is not an integer."""
+    """True if a number in a column is not an integer."""
     return any(number != int(number) for number in _column_numbers(column))

@@ -1,4 +1,4 @@
-"""Interpretation of a header: role, unit and face of each column, from its title in several languages."""
+"""Interpretation of a table's header: role (content), unit and face of each column, from titles in many languages."""
 
 import re
 import unicodedata
@@ -20,25 +20,25 @@ from ltsim.recordings.tables.title_words import (
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
-"""Roles of columns with horizontal angles: `horizontal` for readings of a horizontal circle, `azimuth` for azimuths."""
+"""Roles of columns of horizontal angles: `horizontal` (readings of a horizontal circle) and `azimuth`."""
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
-"""Roles of columns with vertical angles: `vertical` if the title leaves the kind open, `zenith`, `elevation`."""
+"""Roles of columns of vertical angles: `vertical` (kind not given by the title), `zenith` and `elevation`."""
 DISTANCE_ROLES = ("distance", "flat")
-"""Roles of columns with slope distances, and with horizontal distances."""
+"""Roles of columns of slope distances (`distance`) and horizontal distances (`flat`)."""
 COORDINATE_ROLES = ("x", "y", "z")
-"""Roles of columns with coordinates of a target."""
+"""Roles of columns of coordinates of targets."""
 READING_ROLES = (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES, *COORDINATE_ROLES)
-"""Roles of columns with readings, or with coordinates in place of readings."""
+"""Roles of columns of readings, or of coordinates in place of readings."""
 HEIGHT_ROLES = ("instrument_height_mm", "target_height_mm")
-"""Roles of columns with heights above survey marks."""
+"""Roles of columns of heights above survey marks."""
 SIGMA_ROLES = {
     **dict.fromkeys(DISTANCE_ROLES, "sigma_distance_mm"),
     **dict.fromkeys(HORIZONTAL_ROLES, "sigma_azimuth_arcsec"),
     **dict.fromkeys(VERTICAL_ROLES, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
-"""Role of the column with the standard deviation of a reading or coordinate, by the role of the column of the reading
-or coordinate."""
+"""Role of the column of standard deviations that belongs to a column of readings or coordinates, by the role of the
+latter. The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
@@ -48,7 +48,8 @@ ROLE_BY_TITLE = {
         for word in text.split()
     },
 }
-"""Role by each known title, in the form of `normalised_title`."""
+"""Role of a column (its content, such as `azimuth`) that each known title denotes; titles are in the form of
+`normalised_title`."""
 UNITS_BY_ROLE = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
@@ -62,38 +63,39 @@ UNITS_BY_ROLE = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Permitted units by the role of a column; a column whose title has another unit does not have this role."""
+"""Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
+have this role."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
-"""Titles of columns with names or numbers of set-ups."""
+"""Titles of columns of names or numbers of set-ups."""
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
-"""Titles of columns with numbers of the occupations of a survey mark by the instrument."""
+"""Titles of columns that number the times at which the instrument occupied a survey mark."""
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
-"""Titles, by role, that have this role only if no other title in the header has it."""
+"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role."""
 ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup"}
-"""Role ('' for none) of a column with a title in `FALLBACK_TITLES` if another column already has the role there. For
-example, in a table with a column of stations, a column of set-up numbers counts the occupations."""
+"""Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
+role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80
-"""Number of characters above which a cell is not tested as a title."""
+"""Largest number of characters of a cell that can be the title of a column."""
 _UNIT_IN_BRACKETS_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
-"""Pattern of a title with its unit in brackets."""
+"""Pattern of a title followed by its unit in brackets."""
 _REMOVED_CHARACTERS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
 """Pattern of the characters that `normalised_title` removes from a title."""
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
-"""Pattern of a title that ends with the number of a face."""
+"""Pattern of a title that ends with the number of the face."""
 _SIGMA_TITLE_PATTERN = (
     re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"),
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
-"""Patterns of titles of standard deviations; group 1 is the title of the quantity."""
+"""Patterns of titles of standard deviations; group 1 is the title of the reading or coordinate."""
 ANGLE_SYMBOLS = ("°", "'", '"')
-"""Symbols of degrees, minutes and seconds, with which the cells of separate columns are joined to one angle."""
+"""Symbols of degrees, minutes and seconds, used to join cells of separate columns to one angle."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
-"""Units in titles of separate columns with the minutes or seconds of an angle."""
+"""Units in the titles of separate columns of minutes or seconds of an angle."""
 ANGLE_PART_ROLE = "part"
-"""Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
+"""Role of a column of minutes or seconds of an angle whose degrees are in another column."""
 _ANGLE_PART_PATTERNS = tuple(
     re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
     for words in (
@@ -102,21 +104,22 @@ _ANGLE_PART_PATTERNS = tuple(
         "s|sec|seconds?|sek|sekunden|\"|″|”|''",
     )
 )
-"""Patterns of titles of columns with degrees, minutes and seconds of an angle."""
+"""Patterns of titles of columns of degrees, of minutes, and of seconds of an angle."""
 _VALUE_ENDING_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
-"""Pattern of a title that ends with a word for a measured value."""
+"""Pattern of a title that ends with a word for a measured value, such as "reading"."""
 _NUMBER_ENDING_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
-"""Pattern of a title that ends with a word for a number or a name."""
-NUMBERED_ROLES = ("station", "round")
-"""Roles of columns whose titles may end with a word for number or name, as in "station no". Titles of targets and
-instruments with such an ending are listed separately."""
+"""Pattern of a title that ends with a word for a number or a name, such as "no"."""
+ROLES_WITH_NUMBER_ENDINGS = ("station", "round")
+"""Roles (contents) of columns whose titles may end with a word for a number or a name, as in "station no". Such titles
+of targets and instruments are listed separately."""
 
 
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of a table: position from 0, title, role ('' if unknown), unit ('' if not declared), face (0 for both).
+    """Column of a table: position (from 0), title, role, unit, face.
 
-    The role says what the cells contain, such as ``target``, ``azimuth`` or ``time``.
+    The role is the content of the cells, such as ``target``, ``azimuth`` or ``time``; '' if unknown. The unit is '' if
+    not declared. The face is 1 or 2, or 0 for a column that applies to both faces.
     """
 
     position: int
@@ -125,10 +128,10 @@ class TableColumn:
     unit: str = ""
     face: int = 0
     angle_part_positions: tuple[int, ...] = ()
-    """Positions of the columns with the minutes and seconds of an angle whose degrees are in this column."""
+    """Positions of the columns of minutes and seconds that belong to the degrees in this column."""
 
-    def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
-        """Cells of this column, joined with those of minutes and seconds; `table` has the cells of each column."""
+    def cell_texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
+        """Cells of this column, joined with the cells of minutes and seconds; `table` is the cells of all columns."""
         if not self.angle_part_positions:
             return table[self.position]
         cell_rows = zip(*(table[place] for place in (self.position, *self.angle_part_positions)), strict=True)
@@ -138,7 +141,7 @@ class TableColumn:
 
     @property
     def is_additional(self) -> bool:
-        """True for a column that becomes a covariate or label: it has a title and is not part of a pointing."""
+        """True if the column becomes a covariate or a label, because it has a title and no role in a pointing."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
     @property
@@ -148,16 +151,16 @@ class TableColumn:
 
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
-    """Columns of a header with the titles `fields`, each with the role and unit of its title, as a new list."""
+    """Columns with the titles `fields`, each with the role (content) and unit that its title implies, as a new list."""
     return list(_compute_header_columns(tuple(fields)))
 
 
 @lru_cache(maxsize=64)
 def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
-    """Columns of a header, each with the role and unit of its title; cached.
+    """Columns with the titles `fields`, each with the role and unit that its title implies; results are cached.
 
-    If two titles have the same role, the first column gets it. Faces are distinguished if a reading has a column for
-    each face. Coordinates in a table of polar readings are additional columns.
+    If two titles denote one role, the first column gets it. Faces are distinguished if a reading has a column for each
+    face. In a table of polar readings, columns of coordinates are additional columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
@@ -195,16 +198,16 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
-    """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
+    """Column with the role of standard deviations of distances if its title is sD; other columns unchanged.
 
-    It is used in tables with other distances; otherwise the title stands for slope distances (SD).
+    It is applied only in tables with another column of distances; elsewhere the title denotes slope distances (SD).
     """
     is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
     return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column
 
 
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
-    """Columns with a number added to each repeated title, because titles are the keys of additional columns."""
+    """Columns with distinct titles, which are the keys of additional columns; repeated titles get a number."""
     counts: Counter[str] = Counter()
     distinct = []
     for column in columns:
@@ -215,14 +218,14 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
 
 
 def _match_unit_ending(pattern: re.Pattern[str], title: str) -> re.Match[str] | None:
-    """Match of a title with a pattern that ends with a unit; None if it does not match or is too long."""
+    """Match of a title with a pattern for a unit at its end; None if the title does not match or is too long."""
     return pattern.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
 
 
 def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
-    """Columns of a header, in which those of degrees, minutes and possibly seconds of the same angle are joined.
+    """Columns of a header; the columns of degrees, minutes and possibly seconds of one angle are joined.
 
-    Minutes and seconds are in the next columns, or in any columns with the same title as the degrees.
+    Minutes and seconds are in the next columns, or in other columns with the title of the degrees.
     """
     joined_columns = list(columns)
     for place, column in enumerate(columns):
@@ -244,9 +247,9 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
 
 
 def _adjacent_angle_parts(columns: Sequence[TableColumn], place: int, stem: str) -> tuple[int, ...]:
-    """Positions of the columns of minutes and seconds directly after that of degrees at position `place`.
+    """Positions of the columns of minutes and seconds directly after the column of degrees at position `place`.
 
-    `stem` is the title of the degrees without its unit.
+    `stem` is the title of the degrees without unit.
     """
     names, after = [stem], columns[place + 1 : place + 3]
     has_letters = [c.title.casefold() for c in after] == ["m", "s"]
@@ -261,7 +264,7 @@ def _adjacent_angle_parts(columns: Sequence[TableColumn], place: int, stem: str)
 
 
 def _angle_parts_with_stem(columns: Sequence[TableColumn], stem: str) -> tuple[int, ...]:
-    """Positions of the columns of minutes and seconds whose title without unit is `stem`; empty without minutes."""
+    """Positions of the columns of minutes and seconds with the title `stem` (without unit); empty without minutes."""
     positions: list[int] = []
     for form in _ANGLE_PART_PATTERNS[1:]:
         matches = ((c.position, _match_unit_ending(form, c.title)) for c in columns)
@@ -275,46 +278,46 @@ def _angle_parts_with_stem(columns: Sequence[TableColumn], stem: str) -> tuple[i
 
 
 def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
-    """Number of kinds of readings that the columns contain, from 0 to 3: direction, vertical angle, distance."""
+    """Number of kinds of readings in the columns, from 0 to 3: direction, vertical angle, distance."""
     roles = {column.role for column in columns}
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES))
 
 
 def count_recognised_titles(fields: Sequence[str]) -> int:
-    """Number of fields that are titles with a known role; a header has at least two."""
+    """Number of `fields` that are known titles of columns."""
     return sum(map(_is_recognised_title, fields))
 
 
 @lru_cache(maxsize=65_536)
 def _is_recognised_title(title: str) -> bool:
-    """True if the title of a column, with or without a unit, has a known role."""
+    """True if a title, with or without unit, is a known title of a column."""
     degrees_match = _match_unit_ending(_ANGLE_PART_PATTERNS[0], title)
     return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True if the columns of a header include two of direction, vertical angle and distance, or all coordinates.
+    """True if the columns of a row make it a header: two of direction, vertical angle and distance, or all coordinates.
 
-    Targets of coordinates must have names unless `allows_unnamed`.
+    Coordinates also need a column of names of targets, unless `allows_unnamed`.
     """
     has_coordinates = {*COORDINATE_ROLES} <= {column.role for column in columns}
     return _count_reading_kinds(columns) > 1 or has_named_coordinates(columns) or (has_coordinates and allows_unnamed)
 
 
 def unknown_unit_sentence(titles: Sequence[str]) -> str:
-    """Sentence for the user on the first title of a reading that has an unknown unit; '' if there is none."""
+    """Sentence for the user on the first title of a reading with an unknown unit; '' if there is none."""
     for title in titles:
         name, unit = title_words_and_unit(title)
         units = UNITS_BY_ROLE.get(title_role(name), ())
         is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
         if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
-            wrong = f"the unit '{safe_excerpt(unit)}' of column '{safe_excerpt(title)}' is unknown"
+            wrong = f"column '{safe_excerpt(title)}' has the unknown unit '{safe_excerpt(unit)}'"
             return f"{wrong}; convert it to one of {', '.join(units)}"
     return ""
 
 
 def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
-    """Check that no kind of reading is missing because the unit of its column is unknown; raises RecordError."""
+    """Check that no kind of reading is missing because its column has an unknown unit; raises RecordError."""
     kinds = {reading_kind(column.role) for column in columns}
     unknown_titles = [c.title for c in columns if not c.role]
     missing = [
@@ -331,7 +334,7 @@ def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
 
 @lru_cache(maxsize=8192)
 def title_words_and_unit(title: str) -> tuple[str, str]:
-    """Title without unit, in the form of `normalised_title`, and its unit ('' if it has none)."""
+    """Title without unit in the form of `normalised_title`, and its unit ('' if it has none)."""
     if len(title) > MAX_TITLE_LENGTH:
         return "", ""
     name, unit = split_title_and_unit(title)
@@ -343,7 +346,10 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role of a title without unit, such as `sigma_azimuth_arcsec` for `haerror`; '' if the title has no role."""
+    """Role (content of the column) that a title without unit denotes, such as `sigma_azimuth_arcsec` for `haerror`.
+
+    The result is '' for an unknown title.
+    """
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
@@ -351,19 +357,20 @@ def title_role(name: str) -> str:
     if value_match is not None and value_match[1] in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[value_match[1]]
     number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
-    if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in NUMBERED_ROLES:
+    if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in ROLES_WITH_NUMBER_ENDINGS:
         return ROLE_BY_TITLE[number_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 
 
 def normalised_title(text: str) -> str:
-    """Title reduced to its Latin or East Asian letters and its digits, in lower case and without accents."""
+    """Title in lower case, reduced to Latin letters without accents, East Asian letters, and digits."""
     letters = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFKD", text.casefold()))
     return _REMOVED_CHARACTERS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
 
 
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
+    """Column at `position` with the role (content), unit and, if `has_face`, face that its title implies."""
     name, unit = title_words_and_unit(title)
     role, face = title_role(name), 0
     face_match = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
@@ -388,7 +395,10 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of reading in a column with this role: ``horizontal``, ``vertical``, ``distance``; other roles unchanged."""
+    """Kind of reading (``horizontal``, ``vertical``, ``distance``) in a column with this role; other roles unchanged.
+
+    The role of a column is its content, such as `zenith`.
+    """
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]

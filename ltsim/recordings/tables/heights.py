@@ -1,4 +1,4 @@
-"""Completion of heights above survey marks in tables in which some cells of heights are empty."""
+"""Completion of heights above survey marks in tables with empty cells."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_
 def covariates_with_instrument_heights(
     table: PointingTable, covariates: dict[str, Floats]
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Covariates in which each row has the instrument height of its set-up, and notes on empty cells of heights.
+    """Covariates with the instrument height of its set-up in each row, and notes on empty cells of heights.
 
-    `covariates` (n,) are additional columns of n numbers by name. Tables often give the height of the instrument only
-    in the first row of a set-up, because it is constant.
+    `covariates` are the additional columns of numbers by name, each (n,). A table often gives the height of the
+    instrument in the first row of a set-up only, because it is constant.
     """
     notes = []
     for column in HEIGHT_COLUMNS:
@@ -37,7 +37,7 @@ def covariates_with_instrument_heights(
             names = table.pointings.station if kind == "instrument" else table.pointings.target
             empty_row_names = names_text(list(dict.fromkeys(names[row] for row in empty_rows)), 4)
             notes.append(
-                f"heights of {kind}s are empty in {len(empty_rows)} rows ({empty_row_names}); they are taken as 0"
+                f"heights of {kind}s are missing in {len(empty_rows)} rows ({empty_row_names}) and are taken as 0"
             )
         covariates = {**covariates, column: filled}
     return covariates, notes

@@ -1,10 +1,10 @@
-"""Conventions of a table: units, zenith angle or elevation, sense of the circle, coordinates in place of readings.
+"""Conventions of a table: units, zenith angle or elevation, sense of the horizontal circle, coordinates or readings.
 
-The header decides if it is explicit; otherwise the data decide (`ltsim.recordings.conventions`), or an error asks the
-user for a hint. Data without known positions cannot decide the sense of the circle, because the mirror image of a
-network fits equally well. The titles then decide it: `Hz` and `HA` are the horizontal circle of a theodolite,
-clockwise; azimuth and elevation are the spherical coordinates of a tracker, counter-clockwise. An azimuth with a zenith
-angle can be either and needs a hint.
+An explicit header decides. Otherwise the data decide (`ltsim.recordings.conventions`), or an error asks the user for a
+hint. Without known positions, data cannot decide the sense of the circle, because the mirror image of a network fits
+equally well. Then the titles decide: `Hz` and `HA` denote the horizontal circle of a theodolite, which is clockwise.
+Azimuth and elevation denote the spherical coordinates of a tracker, which are counter-clockwise. Azimuth with a zenith
+angle is ambiguous and needs a hint.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ from ltsim.recordings.conventions import (
     angle_convention,
     azimuth_sense_from_points,
     azimuth_sense_from_poses,
-    length_unit_from_size,
+    distance_unit_from_size,
 )
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import SIGMA_COLUMNS
@@ -56,31 +56,32 @@ from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360
-"""Full circle [deg]."""
+"""Full circle in degrees."""
 QUARTER_CIRCLE_DEG = 90
-"""Quarter circle [deg]."""
+"""Quarter of a circle in degrees."""
 MEDIAN_HEIGHT_RANGE_IN_METRES = (0.2, 3.0)
-"""Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
-table is in metres."""
+"""Smallest and largest median of the heights above survey marks, as numbers without unit, for which the lengths of the
+table are in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
-"""Unit, smallest and largest plausible height above a survey mark in this unit; no such number fits both units."""
+"""Unit, and smallest and largest plausible height above a survey mark in this unit; a number can fit only one unit."""
 MAX_AMBIGUOUS_DISTANCE_MM = 1000.0
-"""Number below which the longest distance of a table without unit may be in metres or millimetres: a hint is needed."""
+"""Number below which the longest distance of a table without unit may be in metres or millimetres, so that a hint is
+needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
-"""Median distance [m] between the points that two set-ups give for a common target, below which the coordinates count
-as transformed into one frame."""
-COORDINATES_NOTE = (
+"""Median distance [m] between the coordinates of a target from two set-ups, below which the coordinates are already in
+one common frame."""
+CONVERTED_COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "is that of single readings in both faces"
 )
-"""Note to the user on a table of coordinates in place of readings."""
+"""Note for the user on a table with coordinates in place of readings."""
 
 
 @dataclass(frozen=True)
-class ColumnInterpretation:
-    """Units of directions, vertical angles and lengths in a table, kind of vertical angle, sense of the azimuth.
+class TableConventions:
+    """Conventions of a table: units of directions, vertical angles and lengths, kind of vertical angle, azimuth sense.
 
-    `notes` reports to the user how each was decided.
+    `notes` are sentences for the user on how each convention was decided.
     """
 
     horizontal_unit: str
@@ -94,7 +95,7 @@ class ColumnInterpretation:
     computed; None for measured elevations."""
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
-        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted without rounding."""
+        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted exactly."""
         clockwise, zenith = self.azimuth_sense == "clockwise", self.vertical_kind == "zenith"
 
         def azimuth(reading: Any, units_per_degree: Any) -> Any:
@@ -115,11 +116,11 @@ class ColumnInterpretation:
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
-    def unit_of(self, role: str, column_values: Floats) -> str:
-        """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
+    def assumed_unit(self, role: str, column_values: Floats) -> str:
+        """Unit of a column of standard deviations or heights that declares none, normally the unit of the readings.
 
-        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres
-        instead, if the unit of the readings makes them implausible.
+        `role` is the role of the column, `column_values` (n,) are its n numbers. Heights are in millimetres or metres
+        instead, if they are implausible in the unit of the readings.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
@@ -134,16 +135,15 @@ class ColumnInterpretation:
 
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
-) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of the numbers in a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
+) -> tuple[TableConventions, Floats]:
+    """Conventions of a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
 
-    Rough `poses` of stations, by index of the station in the table, can decide the sense of the circle.
-
-    Raises RecordError with the option to type if neither the header nor the data decide.
+    `poses` are approximate poses by index of the station; they can decide the sense of the circle. Raises RecordError,
+    with the option to type, if neither header nor data decide.
     """
     if table.has_coordinates:
         return _readings_from_coordinates(table, hints, file)
-    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
+    columns = {kind[0]: table.column_with_role(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_by_kind = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     pointings = table.pointings
     station, target = pointings.name_indices("station"), pointings.name_indices("target")
@@ -157,7 +157,7 @@ def interpret_readings(
     )
     units, vertical, notes = _angle_conventions(columns, unit_by_kind, polar, hints, file)
     length, length_notes = _length_convention(unit_by_kind["distance"], polar, table, hints, file)
-    interpretation = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
+    interpretation = TableConventions(*units, length, vertical, "counter-clockwise")
     azimuth_sense, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
     all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
     interpretation = replace(interpretation, azimuth_sense=azimuth_sense, notes=all_notes)
@@ -173,14 +173,14 @@ def interpret_readings(
 
 
 def _missing_readings_notes(table: PointingTable) -> list[str]:
-    """Notes that the table lacks vertical angles or distances, if unrecognised columns have a unit of these."""
+    """Notes that the table lacks vertical angles or distances, although columns with unknown titles have such units."""
     notes = []
     for kind, name, units in (
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
         (DISTANCE_ROLES, "distances", LENGTH_UNITS),
     ):
         columns = [c for c in table.columns if c.is_additional and not c.role and c.unit_in_title in units]
-        if columns and table.column(kind) is None:
+        if columns and table.column_with_role(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{safe_excerpt(c.title)}'" for c in columns)
             notes.append(
                 f"no column is recognised as {name}, so the recording contains none; if {titles} contains them, give "
@@ -198,8 +198,8 @@ def _angle_conventions(
 ) -> tuple[tuple[str, str], VerticalKind, list[str]]:
     """Units of directions and of vertical angles, kind of vertical angle, and notes; raises RecordError.
 
-    `columns` are the columns, and `unit_by_column` their units, by kind of reading; a unit that the header does not
-    declare is ''. `polar` are the readings in the units of the table.
+    `columns` are the columns by kind of reading, and `unit_by_column` their units ('' if not declared). `polar` are the
+    readings in the units of the table.
     """
     column = columns["vertical"]
     role = column.role if column is not None else ""
@@ -230,7 +230,7 @@ def _angle_conventions(
 def _length_convention(
     declared_unit: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
 ) -> tuple[str, list[str]]:
-    """Unit of the distances, and notes on it: as declared, from a hint, from their size, or from heights in the table.
+    """Unit of the distances, and notes about it: as declared, from a hint, from their size, or from heights.
 
     Raises RecordError if none of these decides.
     """
@@ -238,8 +238,8 @@ def _length_convention(
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not MIN_LONGEST_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
-        return length_unit_from_size(polar.distance, hints)
-    if table.column(("flat",)) is not None:
+        return distance_unit_from_size(polar.distance, hints)
+    if table.column_with_role(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
@@ -259,13 +259,13 @@ def _length_convention(
 
 def _azimuth_sense(
     table: PointingTable,
-    interpretation: ColumnInterpretation,
+    interpretation: TableConventions,
     polar: PolarReadings,
     poses: Mapping[int, StationPoseArrays],
     hints: Hints,
     file: Path,
 ) -> tuple[AzimuthSense, list[str]]:
-    """Sense of the circle, and notes on it: from a hint, from known positions, or from the titles of the header.
+    """Sense of the horizontal circle, and notes about it: from a hint, from known positions, or from titles.
 
     Raises RecordError if none of these decides.
     """
@@ -280,7 +280,7 @@ def _azimuth_sense(
             return azimuth, [
                 f"azimuths are interpreted as {azimuth}, because all stations at their approximate positions then agree"
             ]
-    column = table.column(HORIZONTAL_ROLES)
+    column = table.column_with_role(HORIZONTAL_ROLES)
     if table.is_positional or column is None:
         raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
     if column.role == "horizontal":
@@ -296,10 +296,10 @@ def _azimuth_sense(
     raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
 
 
-def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of a table of n measured points, and corresponding readings (n, 3) [m, rad, rad] on face 1.
+def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[TableConventions, Floats]:
+    """Conventions of a table of n measured points, and readings (n, 3) [m, rad, rad] in face 1 computed from them.
 
-    Raises RecordError if a coordinate is missing, or if the coordinates of several set-ups are in one frame.
+    Raises RecordError for a missing coordinate, and if coordinates from several set-ups are in one frame.
     """
     coordinates = np.stack(
         [to_floats(table.pointings.digit_texts_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1
@@ -312,7 +312,7 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     length_unit = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length_unit:
-        length_unit, notes = length_unit_from_size(np.linalg.norm(coordinates, axis=1), hints)
+        length_unit, notes = distance_unit_from_size(np.linalg.norm(coordinates, axis=1), hints)
     readings = to_polar(coordinates * SI_PER_UNIT[length_unit])
     coincident_rows = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(coincident_rows):
@@ -320,15 +320,15 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
             "the point coincides with the instrument, expected another point"
         )
     _require_separate_frames(table, coordinates * SI_PER_UNIT[length_unit], file)
-    return ColumnInterpretation(
-        "rad", "rad", length_unit, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
+    return TableConventions(
+        "rad", "rad", length_unit, "elevation", "counter-clockwise", (*notes, CONVERTED_COORDINATES_NOTE)
     ), readings
 
 
 def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -> None:
-    """Check that n points (n, 3) [m] of several set-ups were not transformed into one frame; raises RecordError.
+    """Check that `points` (n, 3) [m] from several set-ups were not transformed into one frame; raises RecordError.
 
-    Coordinates in one frame contain no information on the network.
+    Such coordinates contain no information on the relation of the stations.
     """
     first_point: dict[str, tuple[str, Floats]] = {}
     distances = []
@@ -338,25 +338,29 @@ def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -
             distances.append(float(np.linalg.norm(point - place)))
     if len(distances) > 2 and float(np.median(distances)) < MAX_COMMON_FRAME_DIFFERENCE_M:
         message = (
-            f"{len(distances)} targets have the same coordinates from several set-ups: they are already in one frame; "
+            f"{len(distances)} targets have equal coordinates from several set-ups, which are thus in one frame; "
             "export them in the axes of each instrument"
         )
         raise RecordError(message, file=file)
 
 
 def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of n ranges, azimuths and elevations by column name, from those of x, y, z.
+    """Standard deviations (n,) of n ranges, azimuths and elevations, by column name, from those of x, y, z.
 
-    `readings` (n, 3) are the corresponding readings [m, rad, rad]; `length` is the unit of columns that declare none.
-    The result is empty if the table has no coordinates or no standard deviations.
+    `readings` (n, 3) are the readings [m, rad, rad] computed from the coordinates. `length` is the unit of columns that
+    declare none. The result is empty without coordinates or without standard deviations.
     """
-    columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
+    columns = [
+        table.column_with_role((SIGMA_ROLES[axis],)) or table.column_with_role((COMMON_SIGMA_ROLE,))
+        for axis in COORDINATE_ROLES
+    ]
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
     if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
     pointings = table.pointings
     columns_of_numbers = [
-        map(cells.parse_number_or_angle, pointings.texts(title), pointings.thousands_separator) for title, _ in titles
+        map(cells.parse_number_or_angle, pointings.additional_cell_texts(title), pointings.thousands_separator)
+        for title, _ in titles
     ]
     pointings.additional_cells = {
         title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)

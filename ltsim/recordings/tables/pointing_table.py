@@ -1,7 +1,7 @@
-"""Pointings of a table before conversion of units: names, faces, texts, and numbers with all digits, by column.
+"""Pointings of a table before the conversion of units, as columns of names, faces, texts and exact numbers.
 
-Numbers are stored as the digits in the cells, so that conversions are exact. A number takes 12 bytes (a decimal object
-100), and a whole array is converted to floating point at once.
+Numbers are stored as the digits in the cells, so that conversions are exact. A number takes 12 bytes (100 as a decimal
+object), and a whole array is converted to floating point at once.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 DigitTexts = NDArray[np.bytes_]
-"""Array (n,) of n numbers as texts of decimal digits in ASCII; an empty text for a missing number."""
+"""Array (n,) of n numbers as texts of decimal digits in ASCII; the text is empty for a missing number."""
 ValueType = TypeVar("ValueType")
+"""Type of the values in a list."""
 MAX_EXACT_FLOAT_PRODUCT = 2**51
-"""Magnitude below which a product of floating-point numbers is rounded to the correct integer; larger products are
-computed with Python's integers."""
-MAX_ANGLE_SUM = 720.0
-"""Largest magnitude [deg] of a sum of angles in a conversion, for which the exact integers must have enough digits."""
+"""Magnitude below which a floating-point product is rounded to the correct integer; larger products are computed with
+integers of Python."""
+MAX_ANGLE_SUM_DEG = 720.0
+"""Largest magnitude [deg] of a sum of angles in a conversion; the integers of exact conversions need digits for it."""
 ROWS_PER_BATCH = 8192
-"""Number of rows that are converted at once, which limits the memory of intermediate results."""
+"""Number of rows that are converted at a time, to limit the memory."""
 
 
 def to_digit_texts(texts: Sequence[str]) -> DigitTexts:
-    """Array (n,) of n texts of decimal digits, from a sequence of such texts."""
+    """Array (n,) of n texts of decimal digits."""
     return np.array(texts, dtype=np.bytes_)
 
 
@@ -46,7 +47,7 @@ def to_floats(digits: DigitTexts) -> Floats:
 
 
 def to_decimals(digits: DigitTexts) -> Iterator[Decimal | None]:
-    """Exact decimal number for each entry of `digits`; None for a missing number."""
+    """Exact decimal number of each entry of `digits`; None for a missing number."""
     for start in range(0, len(digits), ROWS_PER_BATCH):
         for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
@@ -55,9 +56,9 @@ def to_decimals(digits: DigitTexts) -> Iterator[Decimal | None]:
 def apply_exactly(
     digits: DigitTexts, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
-    """Floating-point numbers (n,) nearest to n exact values `function(digits * factor)`; NaN for a missing number.
+    """Floating-point numbers (n,) nearest to exact results of `function(digits * factor)`; NaN for a missing number.
 
-    The arguments of `function` are the products as integers (n,), in units of their last digit, and the integer that
+    `function` gets two arguments: the products (n,) as integers, in units of their last digit, and the integer that
     represents 1.0.
     """
     numbers = np.full(len(digits), np.nan)
@@ -71,13 +72,13 @@ def apply_exactly(
 
 
 def _scaled_integers(digits: DigitTexts, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Integers (n,): the n numbers in `digits`, times 10^`n_decimals`, times `multiplier`.
+    """Integers (n,): the n numbers in `digits`, multiplied by 10^`n_decimals` and by `multiplier`.
 
-    They are int64 if floating-point arithmetic is exact, otherwise Python integers. `unit` is the integer that
-    represents 1.0 after the scaling.
+    They are int64 if floating-point arithmetic is exact, otherwise integers of Python. `unit` is the integer that
+    represents 1.0 after the multiplication.
     """
     numbers = to_floats(digits)
-    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_FLOAT_PRODUCT:
+    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM_DEG)) < MAX_EXACT_FLOAT_PRODUCT:
         return np.rint(numbers * 10**n_decimals).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         integers = [int(number.scaleb(n_decimals)) * multiplier for number in to_decimals(digits) if number is not None]
@@ -85,7 +86,7 @@ def _scaled_integers(digits: DigitTexts, n_decimals: int, multiplier: int, unit:
 
 
 def decimal_places(digits: DigitTexts) -> Ints:
-    """Number of decimals (n,) of each of n numbers; negative for 12e3, which ends before the decimal point."""
+    """Number (n,) of decimals of each of n numbers; negative for 12e3, whose last digit is before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
@@ -94,47 +95,48 @@ def decimal_places(digits: DigitTexts) -> Ints:
 
 @dataclass
 class UnconvertedPointings:
-    """Pointings of a table before conversion of units: columns of n entries, and numbers in the units of the table."""
+    """Pointings of a table before the conversion of units: lists of n entries, numbers in the table's units."""
 
     file: list[Path] = field(default_factory=list)
     line: list[int] = field(default_factory=list)
     station: list[str] = field(default_factory=list)
     target: list[str] = field(default_factory=list)
     face: list[int] = field(default_factory=list)
-    """Face of each pointing; 0 if not given."""
+    """Face (1 or 2) of each pointing; 0 if not given."""
     date_and_time: list[str] = field(default_factory=list)
-    """Text of the date, the time, or both."""
+    """Date, time or both of each pointing, as text."""
     round_label: list[str] = field(default_factory=list)
-    """Label of the round of measurements from one station to which each pointing belongs.
+    """Label of the round (set of directions from one station to several targets) of each pointing.
 
     It is the number of the round in the table, with the day if the table gives one.
     """
     thousands_separator: list[str] = field(default_factory=list)
-    """Thousands separator in the sheet of each pointing, '' for none."""
+    """Thousands separator in the sheet of each pointing; '' for none."""
     digit_texts_by_role: dict[str, DigitTexts] = field(default_factory=dict)
+    """Numbers (n,) of each column of readings or heights, as texts of digits, by role (content) of the column."""
     additional_cells: dict[str, list[str]] = field(default_factory=dict)
-    """Cells of additional columns by title; '' for a row without a cell."""
+    """Cells of the additional columns, by title; '' for a row without cell."""
 
     def __len__(self) -> int:
         return len(self.line)
 
     def source_location(self, index: int) -> SourceLocation:
-        """File and line of a pointing."""
+        """File and line of the pointing with this index."""
         return SourceLocation(self.file[index], self.line[index])
 
     def name_indices(self, kind: Literal["station", "target"]) -> Ints:
-        """Index (n,) of the station or target of each of n pointings, in order of appearance.
+        """Index (n,) of the station or target of each of n pointings, numbered in order of first occurrence.
 
         Raises RecordError for an invalid name, with its line.
         """
         names, indices = distinct_with_indices(self.station if kind == "station" else self.target)
         _, first = np.unique(indices, return_index=True)
         for name, row in zip(names, first.tolist(), strict=True):
-            self.source_location(row).name(name, kind, kind)
+            self.source_location(row).checked_name(name, kind, kind)
         return indices
 
     def digit_texts_of_roles(self, roles: Sequence[str]) -> DigitTexts:
-        """Digits (n,) of the number in each of n rows, from the first column with one of these roles that has one."""
+        """Number (n,) of each of n rows, as digits, in its first filled column with one of these roles."""
         digits: DigitTexts = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.digit_texts_by_role:
@@ -143,17 +145,17 @@ class UnconvertedPointings:
 
     @property
     def every_round_has_single_pointing(self) -> bool:
-        """True if every round of measurements has a single pointing, and the table has several targets."""
+        """True if every round of measurements has one pointing, in a table with several targets."""
         rounds = {*zip(self.station, self.round_label, strict=True)}
         return len(rounds) == len(self) and len({*self.target}) > 1
 
-    def texts(self, title: str) -> list[str]:
-        """Cells of the additional column with this title, n texts; all are '' if there is no such column."""
+    def additional_cell_texts(self, title: str) -> list[str]:
+        """Cells, n texts, of the additional column with this title; all are '' if there is no such column."""
         return self.additional_cells.get(title) or [""] * len(self)
 
     @property
     def complete_columns(self) -> tuple[list[Any], ...]:
-        """Columns in which every row has an entry (file, line, station, ...), in the order of the fields."""
+        """Lists with an entry for every row (file, line, station, ...), in the order of the fields."""
         names = (self.station, self.target)
         return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.thousands_separator)
 
@@ -164,7 +166,7 @@ class UnconvertedPointings:
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
     def take(self, order: Iterable[int]) -> UnconvertedPointings:
-        """Pointings at the indices `order`, in this order."""
+        """Pointings with the indices in `order`, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
         digit_texts_by_role = {role: digits[positions] for role, digits in self.digit_texts_by_role.items()}
@@ -173,7 +175,7 @@ class UnconvertedPointings:
 
 
 def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointings:
-    """Pointings of several tables, one after the other; a column that a table does not have is empty there."""
+    """Pointings of all tables, one table after the other; a column that a table lacks is empty for its rows."""
     if len(tables) == 1:
         return tables[0]
     list_columns: list[Any] = [
@@ -185,16 +187,17 @@ def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointin
         role: np.concatenate([part.digit_texts_by_role.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
-    additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
+    additional_cells = {title: _concatenate(part.additional_cell_texts(title) for part in tables) for title in titles}
     return UnconvertedPointings(*[*list_columns, digit_texts_by_role, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
+    """Entries of all columns, one column after the other."""
     return list(chain.from_iterable(columns))
 
 
 def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
-    """Distinct values in order of their first occurrence, and index (n,) into these for each of n values."""
+    """Distinct values in order of their first occurrence, and the index (n,) among them of each of n values."""
     index_by_value: dict[ValueType, int] = {}
     indices = [index_by_value.setdefault(value, len(index_by_value)) for value in values]
     return list(index_by_value), np.array(indices, dtype=np.int64)
@@ -202,40 +205,40 @@ def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType],
 
 @dataclass
 class PointingTable:
-    """All pointings of a file or folder, and their columns."""
+    """Pointings and columns of a file or folder, with what readers determined about them."""
 
     columns: list[TableColumn]
     pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)
     unread_lines: list[str] = field(default_factory=list)
-    """Texts, for a note to the user, that name lines without a pointing that were not used."""
+    """Texts, for a note to the user, that identify ignored lines without pointing."""
     lacks_station_names: bool = False
-    """True if the station of any pointing has no name."""
+    """True if the station of a pointing has no name."""
     is_positional: bool = False
-    """True if the roles of the columns follow from their positions, because there is no header."""
+    """True if there is no header, so that the positions of columns determine their roles."""
     has_unnamed_targets: bool = False
     """True if no row names its target."""
     mark_by_setup: dict[str, str] = field(default_factory=dict)
-    """Name of the survey mark under a set-up by the name of the set-up, if the names differ."""
+    """Name of the survey mark under a set-up, by name of the set-up, if both names differ."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
-    """Unit from the unit symbols in the cells of a column, by the column's title."""
+    """Unit of the symbols in the cells of a column, by title of the column."""
 
-    def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """First column whose role is among `kind`; None if there is no such column."""
+    def column_with_role(self, kind: Sequence[str]) -> TableColumn | None:
+        """First column whose role (content, such as `azimuth`) is in `kind`; None if there is no such column."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
     def has_coordinates(self) -> bool:
-        """True for a table with coordinates in place of readings."""
+        """True if the table has coordinates in place of readings."""
         return {*COORDINATE_ROLES} <= {c.role for c in self.columns}
 
     @property
     def mark_names(self) -> list[str]:
-        """Name of the survey mark under the set-up of each pointing, n names."""
+        """Name of the survey mark under the station of each of n pointings."""
         return [self.mark_by_setup.get(station, station) for station in self.pointings.station]
 
     def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
-        """Addition of the columns of another header; additional columns may differ.
+        """Addition of the columns of a further header, which may have other additional columns.
 
         Raises RecordError, which names `file` and `row`, if roles or units of readings differ from earlier headers.
         """
@@ -250,7 +253,7 @@ class PointingTable:
         self.columns += [c for c in columns if c.title not in titles]
 
     def add_cell_units(self, units: Mapping[str, str], file: object) -> None:
-        """Addition of units from symbols in cells, by title of the column; raises RecordError if a column has two."""
+        """Addition of units of symbols in cells, by title of the column; raises RecordError for two in one column."""
         for title, unit in units.items():
             earlier_unit = self.cell_units.setdefault(title, unit)
             if earlier_unit != unit:
@@ -258,7 +261,7 @@ class PointingTable:
                 raise SourceLocation(file, None).error(message, safe_excerpt(title))
 
     def add_sheet(self, sheet: PointingTable, file: object) -> None:
-        """Addition of the columns and notes of another sheet, without its pointings; raises RecordError."""
+        """Addition of the columns and notes of a further sheet, without its pointings; raises RecordError."""
         self.add_header(sheet.columns, file)
         self.unread_lines += sheet.unread_lines
         self.notes += [note for note in sheet.notes if note not in self.notes]

@@ -1,4 +1,4 @@
-"""Reader of recordings from delimited text, a folder of such files, or a workbook."""
+"""Reader of recordings from a file of delimited text, a folder of such files, or a workbook."""
 
 import os
 from pathlib import Path
@@ -9,10 +9,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import to_face
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
+from ltsim.recordings.conventions import NO_HINTS, Hints, floor_plan_poses
 from ltsim.recordings.curvature import with_earth_curvature
-from ltsim.recordings.files import MAX_TEXT_LENGTH, safe_excerpt
-from ltsim.recordings.occupations import check_centring
+from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, safe_excerpt
+from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, has_all_sigma_columns, recording_from_columns
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
@@ -21,15 +21,20 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     Recording,
 )
-from ltsim.recordings.resolution import FOOT_DISPLAY_STEPS, LENGTH_DISPLAY_STEPS, default_total_station, reading_step
+from ltsim.recordings.resolution import (
+    FOOT_DISPLAY_STEPS,
+    LENGTH_DISPLAY_STEPS,
+    display_step_of_readings,
+    total_station_with_assumed_noise,
+)
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
 from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import covariates_with_instrument_heights
-from ltsim.recordings.tables.interpretation import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
+from ltsim.recordings.tables.interpretation import TableConventions, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
@@ -41,27 +46,33 @@ from ltsim.recordings.tables.setups import (
     unapplied_heights_notes,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
+from ltsim.recordings.tables.sheets import (
+    TABLE_SUFFIXES,
+    ZIP_SIGNATURE,
+    is_table_folder,
+    read_sheets,
+    rows_of_file_beginning,
+)
 from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists."""
-HEAD_HEIGHT_SIGMA_MM = 1.0
+DEFAULT_HEAD_HEIGHT_SIGMA_MM = 1.0
 """Assumed standard deviation [mm] of the height of a tracker head above its survey mark, for tables whose heights are
-not applied."""
+not applied because the readings refer to the heads."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
+    """True for a folder of tables, a workbook, and text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
     if file_beginning.startswith(ZIP_SIGNATURE.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
     if "\x00" in file_beginning[2:] or file_beginning.lstrip()[:1] in ("<", "{"):
         return False
-    first_rows = head_rows(
+    first_rows = rows_of_file_beginning(
         file_beginning if file_beginning.endswith("\n") else "\n".join(file_beginning.splitlines()[:-1])
     )  # the last may be cut
     headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
@@ -74,7 +85,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Recording from a table, a folder of tables or a workbook.
 
-    With `positional`, lines of names and three numbers are also read without a header. Raises RecordError.
+    With `positional`, a table without header may also have lines with names and three numbers. Raises RecordError.
     """
     pointing_table = read_pointing_table(read_sheets(path), hints, path, positional=positional)
     table = with_placeholder_target_name(with_unpacked_angles(with_time_column(pointing_table), hints), hints, path)
@@ -82,32 +93,34 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     table.notes += name_notes
     table.mark_by_setup = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
-    poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
+    poses = floor_plan_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_single_unnamed_setup(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
-        if not hints.incomplete_tail:
-            check_centring(recording, _setup_path(path, hints))
+        if not hints.is_growing:
+            check_centring_tables(recording, _setup_path(path, hints))
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
     reason = total_station_reason(table, interpretation, readings)
-    instrument, noise = default_total_station(readings, reason) if reason else (Instrument(), NO_NOISE_NOTE)
+    instrument, noise = (
+        total_station_with_assumed_noise(readings, reason) if reason else (Instrument(), ASSUMED_TRACKER_NOISE_NOTE)
+    )
     air = NO_AIR_UNCERTAINTY if reason else None
-    setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
+    setup = Setup(title=path.stem[:MAX_CELL_TEXT_LENGTH], instrument=instrument, air=air)
     recording = assemble_recording(table, interpretation, readings, setup, hints, path)
     return recording if has_all_sigma_columns(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assemble_recording(
-    table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
+    table: PointingTable, interpretation: TableConventions, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """Recording from a table of n pointings and their readings (n, 3) [m, rad, rad], in the order of the table.
 
-    `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
+    `interpretation` are the units and conventions. `setup` is the prior knowledge, which the table completes.
     """
     pointings, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
@@ -117,9 +130,9 @@ def assemble_recording(
     covariates, labels, column_notes = _additional_columns(table, interpretation)
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
-    has_circle = is_total_station or table.column(("horizontal",)) is not None
+    has_circle = is_total_station or table.column_with_role(("horizontal",)) is not None
     same_position, occupation_notes = split_occupations(table, readings, azimuth_sigma, has_circle=has_circle)
-    is_levelled = is_total_station and table.column(("elevation",)) is None
+    is_levelled = is_total_station and table.column_with_role(("elevation",)) is None
     setup, level_notes = with_setups_over_marks(table, setup, readings, rounds=same_position, levelled=is_levelled)
     faces, face_notes = _pointing_faces(table, readings)
     times, start_moment, time_notes = pointing_times(table, hints)
@@ -131,10 +144,10 @@ def assemble_recording(
     if unapplied_notes:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
-        sigma_mm = setup.height_above_mark_sigma_mm or HEAD_HEIGHT_SIGMA_MM
+        sigma_mm = setup.height_above_mark_sigma_mm or DEFAULT_HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
-    if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
+    if time_notes and table.column_with_role(("date",)) is not None:  # a text where it is no clock
         labels["date"] = pointings.date_and_time
     if "flat" in pointings.digit_texts_by_role:
         slope = pointings.digit_texts_of_roles(("distance",))
@@ -169,7 +182,7 @@ def assemble_recording(
 
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both mappings by column; in a common column `default_labels` replace the empty `priority_labels`."""
+    """Labels of both dictionaries by column; `default_labels` fill the empty entries of `priority_labels`."""
     merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
@@ -180,13 +193,13 @@ def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[s
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
-    """Path of the `setup.toml` of a table: that in the hints, otherwise in the folder of the table."""
+    """Path of the `setup.toml` for a table: in the hints, otherwise in the folder of the table."""
     file = hints.setup or (path if path.is_dir() else path.parent) / SETUP_FILE
     return file / SETUP_FILE if file.is_dir() else file
 
 
 def _read_setup(path: Path, hints: Hints) -> Setup | None:
-    """Set-up from the `setup.toml` of a table; None if there is no such file."""
+    """Set-up from the `setup.toml` for a table; None if there is none."""
     file = _setup_path(path, hints)
     return read_setup(file) if hints.setup is not None or os.path.lexists(file) else None
 
@@ -194,8 +207,7 @@ def _read_setup(path: Path, hints: Hints) -> Setup | None:
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face (1 or 2) of each pointing, and notes.
 
-    `readings` (n, 3) [m, rad, rad] of n pointings are changed in place: face-2 readings that the file reduced to face 1
-    become raw readings again.
+    Readings (n, 3) [m, rad, rad] of face 2 that the file reduced to face 1 become raw readings again, in place.
     """
     beyond_zenith = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond_zenith.tolist(), strict=True)]
@@ -212,11 +224,11 @@ def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], 
 
 
 def _additional_columns(
-    table: PointingTable, interpretation: ColumnInterpretation
+    table: PointingTable, interpretation: TableConventions
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
-    """Covariates (additional columns of numbers) by name, labels (additional columns of texts) by name, and notes.
+    """Covariates (columns of numbers) by name, labels (columns of texts) by name, and notes.
 
-    Columns of standard deviations and heights get the names of the native format. If their titles have no unit, their
+    Columns of standard deviations and heights get the names of the native format. Without a unit in their titles, their
     numbers are in the unit of the readings.
     """
     columns = [c for c in table.columns if c.is_additional]
@@ -248,8 +260,8 @@ def _additional_columns(
     )
 
 
-def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
-    """Reason, as the end of a note, for the `unit` that is assumed for a column without declared unit."""
+def _unit_reason(role: str, unit: str, interpretation: TableConventions) -> str:
+    """Reason, as the end of a note, why a column without declared unit has this `unit`."""
     of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
     return (
         " as the readings" if of_reading else f", because heights in {interpretation.length_unit} would be implausible"
@@ -257,11 +269,11 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 
 
 def _covariate_values(
-    column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
+    column: TableColumn, pointings: UnconvertedPointings, interpretation: TableConventions
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) in n cells of a column in the unit of its role, and unit of the cells; None for texts.
+    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None for texts.
 
-    A number is NaN for an empty cell.
+    The number of an empty cell is NaN.
     """
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
@@ -279,7 +291,7 @@ def _covariate_values(
                 if number is None:
                     return None
                 column_numbers[i] = number
-    unit = cell_unit or column.unit or interpretation.unit_of(column.role, column_numbers)
+    unit = cell_unit or column.unit or interpretation.assumed_unit(column.role, column_numbers)
     target_unit = column.role.rpartition("_")[2]
     if target_unit in ("mm", "arcsec") and unit in (*UNITS_BY_ROLE[column.role], "dms"):
         column_numbers = column_numbers * float(unit_ratio(unit, target_unit))
@@ -287,6 +299,7 @@ def _covariate_values(
 
 
 def _unread_lines_notes(table: PointingTable) -> list[str]:
+    """Notes on a table without station names, and on lines of the file that are not used."""
     notes = []
     if table.lacks_station_names:
         assumption = "the table names no station: all its pointings are assigned to one station, S1"
@@ -299,29 +312,28 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 
 
 MAX_TRACKER_RANGE_M = 160.0
-"""Range [m] above which a table is taken as one of a total station: data sheets of trackers give ranges of 80 to 160 m.
-"""
-MIN_TOTAL_STATION_DIGIT_M = 0.5e-4
-"""Smallest value [m] of the last digit of ranges at which a table is taken as one of a total station; trackers report
+"""Range [m] above which the readings are from a total station, because data sheets of trackers give 80 to 160 m."""
+MIN_LAST_DIGIT_OF_TOTAL_STATION_M = 0.5e-4
+"""Value [m] of the last digit of ranges from which on the readings are from a total station, because trackers give
 micrometres."""
-MIN_DISPLAYED_DIGIT_M = 0.5e-9
-"""Value [m] of the last digit of ranges below which the digits are taken as results of a computation, not of an
+MIN_DISPLAYED_LAST_DIGIT_M = 0.5e-9
+"""Value [m] of the last digit of ranges below which the digits come from a computation, not from the display of an
 instrument."""
 
 MIN_RANGES_FOR_RESOLUTION = 6
-"""Number of ranges below which their last digits do not show the resolution of the instrument: fewer may all end in
-zeros by chance."""
+"""Smallest number of ranges whose last digits show the resolution of the instrument; fewer may end in zeros by chance.
+"""
 
 
-def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
+def total_station_reason(table: PointingTable, interpretation: TableConventions, readings: Floats) -> str:
     """Reason, as text, why a table is from a total station; empty if it may be from a laser tracker.
 
-    Heights above survey marks are not a sufficient reason, because trackers are also set up over marks.
+    Heights above survey marks are not sufficient, because trackers are set up over marks too.
     """
     if table.has_coordinates:
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
-    if table.column(("flat",)) is not None:
+    if table.column_with_role(("flat",)) is not None:
         return "it contains horizontal distances"
     if not len(ranges):
         return ""
@@ -333,10 +345,13 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
         return ""
     digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
     digit = max(
-        digit, reading_step(ranges, FOOT_DISPLAY_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_DISPLAY_STEPS)
+        digit,
+        display_step_of_readings(
+            ranges, FOOT_DISPLAY_STEPS if digit > MIN_DISPLAYED_LAST_DIGIT_M else LENGTH_DISPLAY_STEPS
+        ),
     )
-    if digit > MIN_TOTAL_STATION_DIGIT_M:
+    if digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
-    if table.column(("instrument_height_mm",)) is not None and digit > MIN_TOTAL_STATION_DIGIT_M / 10:
+    if table.column_with_role(("instrument_height_mm",)) is not None and digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""

@@ -1,4 +1,4 @@
-"""Conversion of consecutive rows below a header to columns of pointings, all rows at once."""
+"""Conversion of consecutive rows below a header to columns of pointings, all rows together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sys import intern
 
 import numpy as np
 
-from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, safe_excerpt
+from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
@@ -22,12 +22,12 @@ from ltsim.recordings.tables.pointing_table import DigitTexts, UnconvertedPointi
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
-"""Smallest magnitude of a reading, in any unit, that is refused."""
+"""Smallest magnitude of a reading that is refused, in any unit."""
 
 
 @dataclass
 class RowBatch:
-    """Consecutive rows below a header: for each row its line number, its cells, and the station that applies to it."""
+    """Consecutive rows below a header: line numbers, cells, and for each row the station of the lines above."""
 
     line: list[int] = field(default_factory=list)
     fields: list[tuple[str, ...]] = field(default_factory=list)
@@ -37,22 +37,22 @@ class RowBatch:
         return len(self.line)
 
     def add_row(self, row: SheetRow, station: str) -> None:
-        """Addition of a row to which `station` applies if its cells name no station."""
+        """Addition of a row; `station` applies if no cell of the row names a station."""
         self.line.append(row.line)
         self.fields.append(row.fields)
         self.station.append(station)
 
     def single_rows(self) -> Iterator[RowBatch]:
-        """Batch with only this row, for each row of the batch."""
+        """Batches with one row each, for all rows of this batch."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
             yield RowBatch([line], [fields], [station])
 
 
 class RowBatchReader:
-    """Reader of the rows below a header of a sheet.
+    """Reader of rows below a header of a sheet.
 
-    After reading, `lacks_station_names` is True if a row has no station, and `cell_units` is the unit of the symbols in
-    the cells of a column, by the column's title.
+    After reading, `lacks_station_names` is True if a row has no station. `cell_units` is the unit of symbols in the
+    cells of a column, by its title.
     """
 
     def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
@@ -62,9 +62,9 @@ class RowBatchReader:
         self.cell_units: dict[str, str] = {}
 
     def read(self, row_batch: RowBatch) -> UnconvertedPointings:
-        """Pointings of the rows; a row whose cells name no station has the station in `row_batch`.
+        """Pointings in the rows of a batch; a row that names no station has the station given in `row_batch`.
 
-        Raises RecordError for an invalid cell, not necessarily the first one if the batch has several rows.
+        Raises RecordError for an invalid cell; in a batch of several rows it may not be the first one.
         """
         width = len(self.columns)
         padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in row_batch.fields]
@@ -79,9 +79,9 @@ class RowBatchReader:
     def _pointings_of_face(
         self, face: int, row_batch: RowBatch, table: Sequence[Sequence[str]]
     ) -> UnconvertedPointings:
-        """Pointings, one for each row, from the columns of one face and those that both faces share.
+        """Pointings in one face, one for each row, from the columns of this face and the columns for both faces.
 
-        `face` is 0 if the columns do not distinguish faces. `table` has the cells of each column.
+        `face` is 0 if the columns do not distinguish faces. `table` is the cells of each column.
         """
         columns = [c for c in self.columns if c.face in (0, face)]
         cells_by_role = {c.role: table[c.position] for c in reversed(columns) if c.role}
@@ -95,7 +95,7 @@ class RowBatchReader:
         digit_texts_by_role: dict[str, DigitTexts] = {}
         for c in columns:
             if c.role in READING_ROLES:
-                digits = self._numbers(c.texts(table), c, row_batch.line)
+                digits = self._numbers(c.cell_texts(table), c, row_batch.line)
                 filled = digits != b""
                 if filled.any():
                     earlier_digits = digit_texts_by_role.get(c.role)
@@ -117,7 +117,7 @@ class RowBatchReader:
         )
 
     def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
-        """Face in each cell; 0 for an empty cell. Raises RecordError."""
+        """Face (1 or 2) in each cell; 0 for an empty cell. Raises RecordError."""
         faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
@@ -125,10 +125,10 @@ class RowBatchReader:
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> DigitTexts:
-        """Decimal digits (n,) of the readings in n cells of a column, as texts; empty for a missing reading.
+        """Numbers (n,) in n cells of a column of readings, as decimal digits; an empty text for a missing reading.
 
-        Cells with separators, units, or degrees with minutes and seconds are converted first. `lines` are the line
-        numbers of the cells. Raises RecordError for a cell that is no number, and for cells in several units.
+        Cells with thousands separators, units, or degrees with minutes and seconds are converted. `lines` are the line
+        numbers of the cells. Raises RecordError for a cell that is not a number, and for cells in different units.
         """
         texts = ["" if text in cells.MISSING_VALUE_TEXTS else text for text in texts]
         plain_values = (
@@ -154,7 +154,7 @@ class RowBatchReader:
         )
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
-        """Text of the digits of the number in one cell; raises RecordError."""
+        """Number in one cell, as text of its decimal digits; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
             cells.parse_packed_degrees(text)
@@ -173,30 +173,31 @@ class RowBatchReader:
         return str(exact_value)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
-        """Cells of an additional column, checked as short texts; equal texts share memory. Raises RecordError."""
+        """Cells of an additional column, checked to be short texts; equal texts share memory. Raises RecordError."""
         distinct = dict.fromkeys(texts)
         joined_text = "".join(distinct)
         if (
             not joined_text.isprintable()
             or "<" in joined_text
             or ">" in joined_text
-            or max(map(len, distinct)) > MAX_TEXT_LENGTH
+            or max(map(len, distinct)) > MAX_CELL_TEXT_LENGTH
         ):
             for text, line in zip(texts, lines, strict=True):
-                self._source_location(line).text(text)
+                self._source_location(line).checked_text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
 
     def _source_location(self, line: int) -> SourceLocation:
+        """Location of a line in the file of the sheet."""
         return SourceLocation(self.sheet.file, line)
 
 
 def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
-    """Cells of a row, made `width` cells long by empty cells added, or cells removed, at the end."""
+    """Cells of a row, extended by empty cells or shortened at the end, so that there are `width` cells."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
 def _joined_cells(first_cells: Sequence[str] | None, second_cells: Sequence[str] | None) -> list[str] | None:
-    """Cells of two columns joined by a blank, or of the single column that is not None; None if both are None."""
+    """Cells of two columns, joined by blanks; the cells of one column if the other is None; None if both are None."""
     if first_cells is None or second_cells is None:
         return list(first_cells or second_cells or ()) or None
     return [" ".join(filter(None, pair)) for pair in zip(first_cells, second_cells, strict=True)]

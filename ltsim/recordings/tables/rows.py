@@ -1,4 +1,4 @@
-"""Pointings from the rows of a table, which may have several headers, lines that name stations, and free text."""
+"""Pointings from the rows of a table, which may contain several headers, lines that name stations, and free text."""
 
 from __future__ import annotations
 
@@ -36,18 +36,19 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.tables.title_words import SUMMARY_ROW_FIRST_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
-"""Roles of the columns of a table without header whose lines have names and three numbers."""
+"""Contents of the columns, in order, of a table without header."""
 MIN_HEADER_TITLES = 2
-"""Smallest number of titles with a known role in a header: two angles, or an angle and a distance."""
+"""Smallest number of known titles in a header: those of two angles, or of an angle and a distance."""
 
 
 def read_pointing_table(
     sheets: Sequence[TableSheet], hints: Hints, file: object, *, positional: bool = False
 ) -> PointingTable:
-    """Pointings of all sheets, and their columns.
+    """Pointings and columns of all sheets of a file or folder.
 
-    With `positional`, lines of names and three numbers are also read without a header. Raises RecordError, which names
-    `file` or that of a sheet, for a header without recognised titles, headers with different roles, or an invalid cell.
+    With `positional`, a sheet without header may also have lines with names and three numbers. Raises RecordError for a
+    header without known titles, for headers with different roles, and for an invalid cell. Errors name `file`, or the
+    file of a sheet.
     """
     joined_table, parts = PointingTable([]), []
     header_indices = [find_header(sheet, hints) for sheet in sheets]
@@ -62,7 +63,7 @@ def read_pointing_table(
             continue
         reader = _SheetReader(sheet, hints)
         if start is not None or positional:
-            table = reader.read_positional() if start is None else reader.read(start)
+            table = reader.read_without_header() if start is None else reader.read(start)
             joined_table.add_sheet(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.n_numeric_fields > 2 for row in sheet.rows[:50]):
@@ -82,7 +83,7 @@ def read_pointing_table(
 
 
 def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """Columns whose titles are the cells of `row`; None if the row is not a header."""
+    """Columns with the cells of `row` as titles; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
     if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_numeric, row.fields)):
@@ -92,14 +93,15 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
 
 
 def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableColumn]:
-    """Columns of the header in the row with index `row`; empty for None (no header) and for -1 (numbered columns)."""
+    """Columns of the header in the row with this index; empty for a table without header (None or -1)."""
     return [] if row is None or row < 0 else parse_header(sheet.rows[row], hints, sheet.file) or []
 
 
 def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     """Index of the first row that is a header; None if there is none.
 
-    If `hints.columns` assigns numbered columns of a table without header, it is the index of the first row minus 1.
+    If `hints.columns` assigns numbered columns of a table without header, the result is the index of the first row
+    minus 1.
     """
     if hints.columns is not None and sheet.rows:
         assignments = parse_assignments(hints.columns, sheet.file)
@@ -110,7 +112,7 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
 
 
 class _SheetReader:
-    """Reader of one sheet; its state is the current header, the current station, and the rows not yet converted."""
+    """Reader of a sheet; its state is the current header, the current station, and rows that are not yet converted."""
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
@@ -132,10 +134,7 @@ class _SheetReader:
         """Rows of pointings that are not converted yet."""
 
     def read(self, header_row: int) -> PointingTable:
-        """Pointings of the rows below the header in the row with index `header_row`.
-
-        The index is -1 if the table has no header, so that columns are numbered.
-        """
+        """Pointings in the rows below the header in the row with index `header_row`; -1 for a table without header."""
         sheet_rows = self.sheet.rows
         for row in sheet_rows[: max(header_row, 0)]:
             self._process_line_without_pointing(row)
@@ -144,8 +143,8 @@ class _SheetReader:
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
         return self._read_rows(sheet_rows[max(header_row, 0) :])
 
-    def read_positional(self) -> PointingTable:
-        """Pointings of lines with station, target and three numbers, or with target and three numbers."""
+    def read_without_header(self) -> PointingTable:
+        """Pointings in lines with station, target and three numbers, or with target and three numbers."""
         first_row = next((row for row in self.sheet.rows if not row.is_comment), None)
         roles = POSITIONAL_ROLES[1:] if first_row is not None and len(first_row.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
@@ -157,7 +156,7 @@ class _SheetReader:
         return self._read_rows(self.sheet.rows, reads_all=True)
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
-        """Change of the current header to `columns`, those of a header in `row`; raises RecordError."""
+        """Replacement of the current header by one with these `columns`, found in `row`; raises RecordError."""
         self.n_headers += 1
         if self.n_headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
@@ -175,6 +174,7 @@ class _SheetReader:
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
     def _read_rows(self, sheet_rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
+        """Pointings in these rows; with `reads_all` every row that is not a comment is taken as a pointing."""
         last_index = len(sheet_rows) - 1
         for i, row in enumerate(sheet_rows):
             measured = (reads_all and not row.is_comment) or self._is_measured(row)
@@ -185,7 +185,7 @@ class _SheetReader:
                 self._process_line_without_pointing(row)
             elif i < last_index or not self.sheet.has_incomplete_end:
                 self._add_pointing(row)
-            elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
+            elif not self.hints.is_growing:  # otherwise it may not be whole yet
                 self._convert_rows()
                 self.sheet.require_complete_end(len(self.header), requires_line_break=self.table.is_positional)
                 self._add_pointing(row)
@@ -199,7 +199,7 @@ class _SheetReader:
         return self.table
 
     def _is_measured(self, row: SheetRow) -> bool:
-        """True for a row of a pointing: a column of readings has a value, and the row is no sum or mean of rows."""
+        """True if a row contains a pointing: a column of readings has a value, and the row is not a sum or mean."""
         fields = row.fields
         if self._is_summary(fields):
             return False
@@ -209,7 +209,7 @@ class _SheetReader:
         return False
 
     def _is_summary(self, fields: Sequence[str]) -> bool:
-        """True for a row that begins with a word for a sum or mean, and has no target or not every reading."""
+        """True if a row begins with a word for a sum or mean, and lacks the target or a reading."""
         first_text = next(filter(None, fields), "")
         if first_text.rstrip(" :=").casefold() not in SUMMARY_ROW_FIRST_WORDS.split():
             return False
@@ -217,7 +217,7 @@ class _SheetReader:
         return any(place >= len(fields) or not fields[place] for place in needed)
 
     def _process_line_without_pointing(self, row: SheetRow) -> None:
-        """Update of station and heights by a line that is no pointing; a line without either is noted as not used."""
+        """Update of station and heights by a line that is not a pointing; a line without them is reported as unused."""
         n_heights = len(self.block.height_columns)
         if self.block.read_line(row):
             if self.header and len(self.block.height_columns) > n_heights:
@@ -226,6 +226,7 @@ class _SheetReader:
             self.table.unread_lines.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _add_pointing(self, row: SheetRow) -> None:
+        """Addition of a row of a pointing to the rows that are converted later."""
         if len(self.row_batch.line) == ROWS_PER_BATCH:
             self._convert_rows()
         width = len(self.header)
@@ -245,9 +246,9 @@ class _SheetReader:
         self.row_batch.add_row(row, self.block.station)
 
     def _convert_rows(self) -> None:
-        """Conversion of the rows that were not yet converted to columns of pointings, all at once.
+        """Conversion, together, of all rows that are not yet converted to columns of pointings.
 
-        If this fails, the rows are converted one by one, to report the first error.
+        If this fails, rows are converted one by one, to report the first error.
         """
         row_batch, self.row_batch = self.row_batch, RowBatch()
         if not row_batch.line:
@@ -269,7 +270,7 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Notes on columns that are read as additional ones because an earlier column has the role of their title."""
+    """Notes on columns that become additional columns because an earlier column already has their content."""
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
@@ -281,7 +282,7 @@ def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
 
 
 def _is_readable_with_columns(sheet: TableSheet, hints: Hints, columns: str) -> bool:
-    """True if a sheet can be read with the value `columns` of the option ``--columns``."""
+    """True if a sheet can be read with this value of the option ``--columns``."""
     hints = replace(hints, columns=columns)
     try:
         start = find_header(sheet, hints)

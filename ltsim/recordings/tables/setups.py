@@ -1,7 +1,7 @@
 """Set-ups and targets in surveyors' tables: different names of one target, occupations, heights above survey marks.
 
 The name of a target may differ between set-ups (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over survey
-marks that are also targets, and the horizontal circle may be rotated between rounds.
+marks that are also targets. The horizontal circle may be rotated between rounds.
 """
 
 import re
@@ -14,9 +14,9 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
+from ltsim.recordings.circle_orientations import circle_orientation_numbers, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
-from ltsim.recordings.pointings import name_with_number
+from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
@@ -24,50 +24,51 @@ from ltsim.recordings.tables.header import HEIGHT_ROLES
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
-"""Differences of spelling in spite of which two names stand for one point, as text for notes."""
+"""Differences of spelling between two names of one point, as text for notes."""
 MAX_NAMES_IN_SETUP_NOTE = 4
-"""Largest number of names that a note on set-ups lists."""
-OCCUPATION_TEXT_BY_ROLE = (
+"""Largest number of names in a note on set-ups."""
+OCCUPATION_NAMES_BY_ROLE = (
     ("instrument_setup", "set-up"),
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
 )
-"""Role of each column that can distinguish occupations, by priority, and what a note calls it."""
+"""Roles (contents) of the columns that can distinguish occupations, in order of priority, each with its name in notes.
+"""
 MIN_ROWS_OF_OCCUPATION = 3
-"""Smallest number of rows with the same height of the instrument at which this height distinguishes an occupation; a
-height in fewer rows may be a mistake."""
+"""Smallest number of rows with one height of the instrument that makes this height an occupation; in fewer rows the
+height may be a mistake."""
 MIN_RECIPROCAL_LINES = 4
 """Smallest number of lines measured in both directions whose misclosures decide whether heights above survey marks are
 applied."""
 MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS = 0.5
-"""Misclosure of lines measured in both directions, computed without heights above survey marks and divided by that
-computed with them, below which the heights are not applied: correct heights would reduce the misclosure."""
-MIN_CIRCLE_ROTATION = 1e-3
-"""Median difference [rad] between the directions of two rounds to the same targets, above which the circle was rotated.
+"""Ratio of the misclosure of lines measured in both directions without heights above survey marks to that with them,
+below which the heights are not applied. Correct heights would reduce the misclosure."""
+MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS = 1e-3
+"""Median difference [rad] between the directions of two rounds to common targets, above which the circle was rotated.
 """
-MIN_ROTATION_SIGMAS = 6.0
-"""Median difference between the directions of two rounds to the same targets, in their standard deviations, above which
-the circle was rotated."""
+MIN_CIRCLE_ROTATION_SIGMAS = 6.0
+"""Median difference between the directions of two rounds to common targets, in standard deviations, above which the
+circle was rotated."""
 MAX_MISCLOSURE_WITHOUT_HEIGHTS_M = 0.2
-"""Median misclosure [m] in height of lines measured in both directions, computed without heights above survey marks,
-above which these heights are applied (0.2 m: curvature of the earth over 1.3 km)."""
+"""Median height misclosure [m] of lines measured in both directions without heights above survey marks, above which the
+heights are applied. The curvature of the earth causes 0.2 m over 1.3 km."""
 MAX_FORCED_CENTRING_MISCLOSURE_M = 0.02
-"""Median misclosure [m] of lines measured in both directions below which heads and reflectors are taken as exchanged
-on the same forced centring; set up separately above a survey mark, their heights differ by decimetres.
-"""
+"""Median misclosure [m] of lines measured in both directions, below which tracker heads and reflectors were exchanged
+on a common forced centring. If they were set up separately over a survey mark, their heights differ by decimetres."""
 _TARGET_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
-"""Pattern of a separator and, as group 1, the name of a target after the name of its set-up ("P01" in "S1_P01")."""
+"""Pattern of a target name after the name of its set-up: a separator, then group 1 ("P01" in "S1_P01")."""
 _TARGET_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
-"""Pattern of, as group 1, the name of a target before the name of its set-up ("P01" in "P01_S1"), and a separator."""
+"""Pattern of a target name before the name of its set-up: group 1 ("P01" in "P01_S1"), then a separator."""
 OccupationKey = tuple[str, ...]
-"""Key of a set-up: station, occupation, and also round or number of the orientation if the circle was rotated."""
+"""Key of a set-up: station and occupation; if the circle was rotated also the round or the number of the orientation.
+"""
 
 
 def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
-    """Name of the target of each pointing, the same from all set-ups, and notes on changed names.
+    """Name of the target of each pointing, equal for all set-ups, and notes on changed names.
 
-    If the names of all targets contain the name of their set-up, it is removed, provided that set-ups then have common
-    targets. Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
+    If all targets have names that contain the name of their set-up, it is removed, provided that set-ups then have
+    common targets. Names that differ only in case, blanks or leading zeros become one name, if no set-up uses both.
     """
     sightings, row = distinct_with_indices(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
@@ -108,7 +109,7 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
 
 
 def _without_station_name(station: str, target: str) -> str:
-    """Name of a target without the name of its set-up; empty if the name of the set-up is not a prefix or suffix."""
+    """Name of a target without the name of its set-up at the beginning or end; empty if it is not there."""
     if len(target) > MAX_RECORDING_NAME_LENGTH:  # which is refused later
         return ""
     match = None
@@ -120,20 +121,21 @@ def _without_station_name(station: str, target: str) -> str:
 
 
 def _stations_share_targets(stations: Sequence[str], targets: Sequence[str]) -> bool:
+    """True if a target name occurs at more than one station."""
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
 def normalised_name(name: str) -> str:
-    """Name of a target without differences of case, blanks and leading zeros."""
+    """Name of a target in lower case, without blanks and leading zeros."""
     plain_name = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", plain_name))
 
 
 def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -> dict[str, str]:
-    """Name of the target over which a set-up stands, by set-up, if both names differ only in spelling.
+    """Name of the target under a set-up, by name of the set-up, if both names differ only in spelling.
 
-    Spelling means case, blanks and leading zeros. `stations` and `targets` are those of the n pointings. A set-up does
-    not stand over a target that it measured.
+    Spelling means case, blanks and leading zeros. `stations` and `targets` are the names in n pointings. A set-up is
+    not over a target that it measured.
     """
     sights = {*zip(stations, targets, strict=True)}
     names = dict.fromkeys(targets)
@@ -147,7 +149,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
 
 
 def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
-    """Note on set-ups over targets whose names have another spelling, as a list; empty for an empty mapping."""
+    """Note, in a list, on set-ups over targets whose names have another spelling; empty if there are none."""
     examples = names_text([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
     text = f"a set-up and a target whose names differ only in {SPELLING_DIFFERENCES_TEXT} are one mark: {examples}"
     return [text] if mark_by_setup else []
@@ -156,14 +158,15 @@ def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
 def split_occupations(
     table: PointingTable, readings: Floats, sigma: Floats, *, has_circle: bool
 ) -> tuple[set[str], list[str]]:
-    """Division, in place, of set-ups with several occupations, or with a rotated circle, into separate set-ups.
+    """Division, in place, of set-ups with several occupations or with a rotated circle into separate set-ups.
 
-    A column of set-ups, a column of dates or the heights of the instrument distinguish occupations. `readings` (n, 3)
-    of n pointings are ranges, azimuths and elevations [m, rad, rad]; `sigma` (n,) [rad] are standard deviations of the
-    azimuths, NaN if not given. Without a column of rounds, the directions of an instrument with a horizontal circle
-    (`has_circle`) show rotations of the circle.
+    A column of set-ups or dates, or the heights of the instrument, distinguish occupations. `readings` (n, 3) [m, rad,
+    rad] are those of n pointings; `sigma` (n,) [rad] are the standard deviations of the azimuths, NaN if not given.
+    Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`) show rotations
+    of the circle.
 
-    The results are the names of the set-ups that share an occupation, and thus their position, with another, and notes.
+    The results are names of set-ups and notes. Each named set-up shares an occupation, and thus its position, with
+    another.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
@@ -172,7 +175,7 @@ def split_occupations(
     )
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
-    if table.column(("round",)) is not None:
+    if table.column_with_role(("round",)) is not None:
         by_round, round_index = distinct_with_indices(
             zip(occupation_index.tolist(), pointings.round_label, strict=True)
         )
@@ -181,7 +184,7 @@ def split_occupations(
             distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
     elif has_circle:
         _, sight = distinct_with_indices(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
-        orientations = circle_orientations(occupation_index, sight, readings)
+        orientations = circle_orientation_numbers(occupation_index, sight, readings)
         if orientations is not None:
             by_number, code = distinct_with_indices(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
@@ -191,7 +194,7 @@ def split_occupations(
     counts: Counter[str] = Counter()
     names: list[str] = []
     for station, *_ in distinct:
-        names.append(name_with_number(station, counts[station]))
+        names.append(numbered_name(station, counts[station]))
         counts[station] += 1
     table.mark_by_setup = {
         name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
@@ -199,7 +202,9 @@ def split_occupations(
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        column_name = next((name for role, name in OCCUPATION_TEXT_BY_ROLE if table.column((role,)) is not None), "")
+        column_name = next(
+            (name for role, name in OCCUPATION_NAMES_BY_ROLE if table.column_with_role((role,)) is not None), ""
+        )
         occupations_text = f"{len(occupations)} occupations of {len(marks)} marks"
         notes.append(f"{occupations_text}, distinguished by {column_name}, are separate set-ups")
     if is_rotated:
@@ -215,11 +220,11 @@ def split_occupations(
 
 
 def _occupation_labels(table: PointingTable) -> list[str]:
-    """Text, for each pointing, that distinguishes its occupation from other occupations of the same survey mark."""
-    pointings, column = table.pointings, table.column(("instrument_setup",))
+    """Text for each pointing that distinguishes its occupation from other occupations of its survey mark."""
+    pointings, column = table.pointings, table.column_with_role(("instrument_setup",))
     if column is not None:
-        return pointings.texts(column.title)
-    if table.column(("date",)) is None:
+        return pointings.additional_cell_texts(column.title)
+    if table.column_with_role(("date",)) is None:
         return _occupation_labels_by_height(table)
     days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*pointings.date_and_time}}
     return [days[moment] for moment in pointings.date_and_time]
@@ -228,15 +233,15 @@ def _occupation_labels(table: PointingTable) -> list[str]:
 def _occupation_labels_by_height(table: PointingTable) -> list[str]:
     """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
-    The height is constant within an occupation. If a height applies to few rows of a survey mark, or recurs, it may be
-    wrong, and the mark counts as occupied once.
+    The height is constant during an occupation. If a height occurs in few rows of a survey mark, or occurs again later,
+    it may be wrong, and the mark has one occupation.
     """
-    column = table.column(("instrument_height_mm",))
+    column = table.column_with_role(("instrument_height_mm",))
     setup_numbers = [""] * len(table.pointings)
     rows_by_mark: dict[str, list[int]] = {}
     for row, mark in enumerate(table.mark_names if column is not None else ()):
         rows_by_mark.setdefault(mark, []).append(row)
-    heights = table.pointings.texts(column.title) if column is not None else []
+    heights = table.pointings.additional_cell_texts(column.title) if column is not None else []
     for rows in rows_by_mark.values():
         runs = [list(run) for _, run in groupby((row for row in rows if heights[row]), key=heights.__getitem__)]
         is_occupation = len({heights[run[0]] for run in runs}) == len(runs) > 1
@@ -250,11 +255,12 @@ def _occupation_labels_by_height(table: PointingTable) -> list[str]:
 def _has_rotated_circle(
     table: PointingTable, occupation_index: Ints, round_index: Ints, azimuth: Floats, sigma: Floats
 ) -> bool:
-    """True if the directions of any round differ from those of earlier rounds of its occupation to the same targets.
+    """True if the directions in a round differ from those in earlier rounds of its occupation to common targets.
 
-    `occupation_index` and `round_index` (n,) number the occupation and the round of each of n pointings; `azimuth` (n,)
-    and its standard deviation `sigma` (n,) are in rad. The median difference, on which a single outlier has no effect,
-    is compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` standard deviations if this is smaller.
+    `occupation_index` and `round_index` (n,) number the occupation and the round of each of n pointings. `azimuth` (n,)
+    and its standard deviation `sigma` (n,) are in rad. The median difference, which a single outlier does not change,
+    is compared with the smaller limit: `MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS`, or `MIN_CIRCLE_ROTATION_SIGMAS` standard
+    deviations.
     """
     pointings = table.pointings
     first_reading: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -269,8 +275,8 @@ def _has_rotated_circle(
             differences.setdefault(key, []).append((difference, np.hypot(noise, before_noise)))
     for pairs in differences.values():
         difference, noise = np.median(np.array(pairs), axis=0).tolist()
-        limit = MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise
-        if abs(difference) > min(MIN_CIRCLE_ROTATION, limit):
+        limit = MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS if np.isnan(noise) else MIN_CIRCLE_ROTATION_SIGMAS * noise
+        if abs(difference) > min(MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS, limit):
             return True
     return False
 
@@ -278,13 +284,13 @@ def _has_rotated_circle(
 def with_setups_over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
-    """Prior knowledge `setup`, completed with stations that are levelled or over targets with their names, and notes.
+    """Prior knowledge `setup`, completed with stations that are levelled or over targets of their name, and notes.
 
-    Stations with heights above their survey marks are levelled. Without heights, `levelled` stations are over targets
-    with their names if lines measured in both directions close. `rounds` are the names of set-ups that share a position
-    with other set-ups of the same occupation. `readings` (n, 3) [m, rad, rad] are those of n pointings.
+    Stations with heights above survey marks are levelled. Without heights, `levelled` stations are over targets of
+    their name if lines measured in both directions close. `rounds` are names of set-ups that share their position with
+    other set-ups of one occupation. `readings` (n, 3) [m, rad, rad] are those of n pointings.
     """
-    heights = table.column(("instrument_height_mm",)) is not None
+    heights = table.column_with_role(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
     names = dict.fromkeys(table.pointings.station)
     marks = {name: table.mark_by_setup.get(name, name) for name in names}
@@ -318,9 +324,9 @@ def with_setups_over_marks(
 
 
 def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
-    """True if lines measured in both directions agree in length, and in height if elevations were measured.
+    """True if lines measured in both directions agree in length and, if elevations were measured, in height.
 
-    The median misclosure decides; heights above survey marks are not applied, the curvature of the earth is.
+    The median misclosure decides. Heights above survey marks are not applied; the curvature of the earth is.
     """
     lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
@@ -338,26 +344,26 @@ def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
 
 
 def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
-    """Names of the survey mark under the station, and of the target, for each pointing."""
+    """Names of the survey mark under the station and of the target, for each pointing."""
     return zip(table.mark_names, table.pointings.target, strict=True)
 
 
 def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
-    """Columns that name the occupation of a survey mark by the instrument, and by the reflector, for each pointing.
+    """Columns with the names of the occupations by the instrument and by the reflector in each pointing.
 
-    They are computed for a table that lacks such columns: the names of the mark and of the day distinguish occupations.
+    They are for tables without such columns: mark and day distinguish occupations of a survey mark.
     """
     pointings = table.pointings
-    days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
+    days = pointings.date_and_time if table.column_with_role(("time",)) is None else [""] * len(pointings)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark_names, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
 
 def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note that heights in a table are not applied, because its readings refer to heads; otherwise an empty list.
+    """Note, in a list, that heights in a table are not applied because the readings refer to heads; otherwise empty.
 
-    Heights are those above survey marks. Lines measured in both directions decide: their height differences cancel
+    Heights are those above survey marks. Lines measured in both directions decide: their height differences agree
     either with the heights `height` (n, 2) [m] of instrument and target in n pointings, or without them. `readings` (n,
     3) are in m, rad, rad.
     """

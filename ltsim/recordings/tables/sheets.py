@@ -1,4 +1,4 @@
-"""Reading of the rows of a text file or a workbook: encoding, separator, quotes, comments, sheets."""
+"""Rows of a text file or a workbook: encoding, separator, quotes, comments, sheets."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from ltsim.core.limits import (
 )
 from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
 from ltsim.recordings.tables.cells import detect_thousands_separator, is_numeric
-from ltsim.recordings.tables.workbook_archive import checked_archive
+from ltsim.recordings.tables.workbook_archive import checked_workbook_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
-"""Suffixes of the names of files that are read as tables."""
+"""Suffixes of the names of files that may be tables."""
 ZIP_SIGNATURE = b"PK\x03\x04"
-"""First bytes of a workbook, which is a zip archive."""
+"""First bytes of a zip archive, such as a workbook."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
-"""Possible separators of fields; the first has priority if several are equally likely."""
+"""Possible separators of fields; among equally likely ones the first is used."""
 N_SEPARATOR_SAMPLE_LINES = 400
 """Number of lines from which the separator is detected."""
 MAX_SEPARATOR_SAMPLE_CHARACTERS = 100_000
@@ -42,11 +42,11 @@ MAX_SEPARATOR_SAMPLE_CHARACTERS = 100_000
 
 
 _BLANKS_BEFORE_UNIT_PATTERN = re.compile(r"(?<=\S)[ \t]+(?=[(\[][^\s()\[\]]+[)\]](?:\s|$))")
-"""Blanks between a title and its unit in brackets."""
+"""Pattern of blanks between a title and its unit in brackets."""
 
 
 class SheetRow(NamedTuple):
-    """Line number and fields of one row; a line that begins with # is a comment."""
+    """Row of a table: line number, fields, and whether the line is a comment (begins with #)."""
 
     line: int
     fields: tuple[str, ...]
@@ -54,15 +54,15 @@ class SheetRow(NamedTuple):
 
     @property
     def n_numeric_fields(self) -> int:
-        """Number of fields that contain a number or an angle."""
+        """Number of fields that are numbers or angles."""
         return sum(map(is_numeric, self.fields))
 
     def cell(self, position: int) -> str:
-        """Text of the field at `position`, from 0; '' if the row is shorter."""
+        """Text of the field at `position` (from 0); '' if the row is shorter."""
         return self.fields[position] if position < len(self.fields) else ""
 
     def check_width(self, width: int, file: object) -> None:
-        """Check that the row has `width` fields, as the header; raises RecordError."""
+        """Check that the row has `width` fields, the number in the header; raises RecordError."""
         if len(self.fields) != width:
             raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
@@ -71,7 +71,7 @@ class SheetRow(NamedTuple):
 
 
 class TextRows(Sequence[SheetRow]):
-    """Rows of a text file, which are split into fields on access to save four fifths of the memory."""
+    """Rows of a text file, split into fields only when accessed, which saves 80 % of the memory."""
 
     def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
         self._lines, self.separator = lines, separator
@@ -100,7 +100,7 @@ class TextRows(Sequence[SheetRow]):
 
     @property
     def rows_with_comma_and_point(self) -> TextRows:
-        """Rows that may contain a field with both a comma and a point."""
+        """Rows in which a field may contain both a comma and a point."""
         is_comma_separated = self.separator == ","  # fields then hold commas in quotes alone
         mixed = [
             line
@@ -112,10 +112,10 @@ class TextRows(Sequence[SheetRow]):
 
 @dataclass(frozen=True)
 class TableSheet:
-    """Rows of a text file or of one sheet of a workbook, without blank lines.
+    """Rows, without blank lines, of a text file or of one sheet of a workbook.
 
-    `has_incomplete_end` is True if the last line has no line break; `station` is the name of the sheet or file, which
-    names the set-up of its rows if there are several sheets.
+    `has_incomplete_end` is True if the last line has no line break. `station` is the name of the sheet or file; it is
+    the name of the set-up of its rows if there are several sheets.
     """
 
     file: Path
@@ -125,20 +125,20 @@ class TableSheet:
 
     @property
     def has_blanks_between_fields(self) -> bool:
-        """True if blanks separate the fields, so that a missing cell cannot be recognised."""
+        """True if fields are separated by blanks, so that a missing cell cannot be noticed."""
         return isinstance(self.rows, TextRows) and self.rows.separator == " "
 
     @cached_property
     def thousands_separator(self) -> str:
-        """Thousands separator of the numbers, '' for none; raises RecordError for two different ones."""
+        """Thousands separator in the numbers, '' for none; raises RecordError for two different ones."""
         number_rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
         return detect_thousands_separator((row.fields for row in number_rows), self.file)
 
     def require_complete_end(self, width: int, *, requires_line_break: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
 
-        It is complete if it has a line break or, unless `requires_line_break`, if it has `width` fields and its last
-        number has at least as many decimals as in the line before.
+        It is complete if it has a line break. Unless `requires_line_break`, it is also complete if it has `width`
+        fields and its last number has at least as many decimals as in the line before.
         """
         if not self.has_incomplete_end:
             return
@@ -151,7 +151,7 @@ class TableSheet:
 
 
 def is_table_folder(path: Path) -> bool:
-    """True for a folder that contains tables and is not in the native format."""
+    """True for a folder with tables that is not in the native format."""
     try:
         return path.is_dir() and not (path / "observations.csv").exists() and bool(table_files(path))
     except OSError:
@@ -159,7 +159,7 @@ def is_table_folder(path: Path) -> bool:
 
 
 def table_files(path: Path) -> list[Path]:
-    """Paths of the tables in a folder, ordered by name; only `path` itself if it is no folder."""
+    """Paths of the tables in a folder, in alphabetical order; `path` alone if it is not a folder."""
     if not path.is_dir():
         return [path]
     return sorted(
@@ -168,10 +168,10 @@ def table_files(path: Path) -> list[Path]:
 
 
 def read_sheets(path: Path) -> list[TableSheet]:
-    """Sheets of a file, or of all tables in a folder; if there are several, the name of a sheet is that of its set-up.
+    """Sheets of a file, or of all tables in a folder; with several sheets, their names are the names of the set-ups.
 
-    Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library that reads it
-    is missing.
+    Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library to read it is
+    not installed.
     """
     sheets = []
     for file in table_files(path):
@@ -180,7 +180,7 @@ def read_sheets(path: Path) -> list[TableSheet]:
 
 
 def read_text_sheet(file: Path) -> TableSheet:
-    """Rows of a text file as one sheet; raises RecordError."""
+    """Sheet with the rows of a text file; raises RecordError."""
     lines = read_lines(file, replaces_undecodable=True)
     return TableSheet(file, _non_blank_rows(lines, file), file.stem, has_incomplete_end=bool(lines[-1]))
 
@@ -204,8 +204,8 @@ def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
 
-def head_rows(file_beginning: str) -> list[SheetRow]:
-    """First rows of a file that begins with the text `file_beginning`, with comments, to detect its format."""
+def rows_of_file_beginning(file_beginning: str) -> list[SheetRow]:
+    """First rows, with comments, of a file that begins with the text `file_beginning`; they show its format."""
     lines = [line for line in file_beginning.splitlines() if line.strip()]
     separator = _detect_separator(lines)
     return [
@@ -215,11 +215,11 @@ def head_rows(file_beginning: str) -> list[SheetRow]:
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
-    """Most plausible separator of fields: the one by which lines of equal length have the most numeric fields.
+    """Most plausible separator: with it lines of equal length have the most numeric fields.
 
-    Lines are of equal length if they have the same number of fields. Numeric fields are counted first in lines of three
-    or more fields. A tie is decided by lines of two or more fields, then by the number of fields in the first line,
-    then by the order of `FIELD_SEPARATORS`.
+    Lines have equal length if they have the same number of fields. Lines of three or more fields are compared first. A
+    tie is decided by lines of two or more fields, then by the number of fields in the first line, then by the order of
+    `FIELD_SEPARATORS`.
     """
     lines_and_offsets = zip(
         lines[:N_SEPARATOR_SAMPLE_LINES],
@@ -241,7 +241,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
-    """Largest count of numeric fields in lines of one width, among lines with at least `min_columns` fields."""
+    """Largest number of numeric fields in all lines of one length, among lengths of at least `min_columns` fields."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number if separator == "," else is_numeric
     counts: Counter[int] = Counter()
@@ -251,7 +251,7 @@ def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: 
 
 
 def _split_fields(line: str, separator: str) -> tuple[str, ...]:
-    """Fields of one line, without the quotes of CSV."""
+    """Fields of a line, without the quotation marks of CSV."""
     if separator == " ":
         return tuple(_BLANKS_BEFORE_UNIT_PATTERN.sub("", line).split() if "[" in line or "(" in line else line.split())
     plain_fields = tuple(map(str.strip, line.split(separator)))
@@ -265,9 +265,9 @@ def _split_fields(line: str, separator: str) -> tuple[str, ...]:
 
 
 def read_small_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Header of a small user-written table, and line number and cells by title of each of its rows.
+    """Header of a small table written by a user, and line number and cells by title of each row.
 
-    Raises RecordError if a title occurs twice, or a row has more or fewer cells than the header.
+    Raises RecordError if a title occurs twice, or if a row has more or fewer cells than the header.
     """
     lines = [row for row in read_text_sheet(path).rows if not row.is_comment]
     if not lines:
@@ -284,9 +284,10 @@ def read_small_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, s
 
 
 def _read_workbook(file: Path) -> list[TableSheet]:
-    """Sheets of a workbook (xlsx) that are not empty, with their names; raises RecordError."""
+    """Sheets of a workbook (xlsx), with their names, that are not empty; raises RecordError."""
     sheets = [
-        TableSheet(file, tuple(_workbook_row(*line) for line in cells), name) for name, cells in workbook_cells(file)
+        TableSheet(file, tuple(_workbook_row(*line) for line in cells), name)
+        for name, cells in workbook_rows_by_sheet(file)
     ]
     for row in chain.from_iterable(sheet.rows for sheet in sheets):
         _require_few_fields(row.fields, row.line, file)
@@ -294,22 +295,22 @@ def _read_workbook(file: Path) -> list[TableSheet]:
 
 
 def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
-    """Row of a workbook; it is a comment if its first cell begins with #, except an error value such as #N/A."""
+    """Row of a workbook; it is a comment if its first cell begins with # and is not an error value such as #N/A."""
     is_comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
     return SheetRow(line, (fields[0].lstrip("# ") if is_comment else fields[0], *fields[1:]), is_comment)
 
 
 _DATE_TYPES = (datetime, date, time)
-"""Types of the values of cells of a workbook that are dates or times."""
+"""Types of cell values that are dates or times."""
 WorkbookRow = tuple[int, list[str]]
-"""Number of a row, from 1, and its cells up to the last one that is not empty."""
+"""Number of a row (from 1), and its cells up to the last one that is not empty."""
 
 
-def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Name of each sheet of a workbook, with its rows that are not empty.
+def workbook_rows_by_sheet(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
+    """Name of each sheet of a workbook, with the rows that are not empty.
 
     Raises RecordError for a file that is not a workbook, is damaged or exceeds a limit, and if the library that reads
-    workbooks is missing.
+    workbooks is not installed.
     """
     try:
         from openpyxl import load_workbook
@@ -318,7 +319,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(message, file=file) from None
     packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        checked = checked_archive(file, packed)
+        checked = checked_workbook_archive(file, packed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
             book = load_workbook(checked, read_only=True, data_only=True, keep_links=False)
@@ -368,14 +369,14 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
 
 
 def _cell_text(cell: object) -> str:
-    """Text of the value of a cell; a date with the time 0:00 is written as a date."""
+    """Text of a cell's value; a date with the time 0:00 becomes a date without time."""
     if isinstance(cell, datetime) and cell.time() == time():
         cell = cell.date()
     return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()
 
 
 def _cell_texts(cell_values: tuple[Any, ...]) -> list[str]:
-    """Texts of the cells of a row: ISO dates, numbers with their shortest digits, no empty cells at the end."""
+    """Texts of the cells of a row: ISO dates, numbers with as few digits as possible, no empty cells at the end."""
     texts = list(map(_cell_text, cell_values))
     while texts and not texts[-1]:
         texts.pop()

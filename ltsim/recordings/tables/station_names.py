@@ -1,6 +1,6 @@
-"""Detection of tables whose set-ups, or points, have no names of their own, from differences of their readings.
+"""Detection of tables with several set-ups, or several points, that have no distinct names, by their readings.
 
-Without names of set-ups the ranges and elevations to the same target differ, because several set-ups measured them.
+If several set-ups have no names, ranges and elevations to one target differ.
 """
 
 import numpy as np
@@ -11,34 +11,34 @@ from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
-MAX_RANGE_AND_ELEVATION_SPREAD = (0.1, 0.02)
+MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP = (0.1, 0.02)
 """Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
-names has several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
-more (0.02 rad is 0.1 m at 5 m)."""
+names has several set-ups. Reflectors, faces and drifts cause smaller differences, different positions larger ones (0.02
+rad is 0.1 m at 5 m)."""
 MAX_SPREAD_RATIO_OF_STATION_COLUMN = 0.01
-"""Largest ratio at which a column counts as the column of set-up names: median difference of readings to one target
-among rows with the same text in the column, divided by that among all rows."""
+"""Largest ratio with which a column is the column of set-up names. It is the median difference of readings to one
+target among rows with one text in the column, divided by that among all rows."""
 MIN_ROWS_PER_SETUP = 3
-"""Smallest mean number of rows per distinct text of a column at which it can count as the column of set-up names."""
+"""Smallest mean number of rows for each different text of a column that may be the column of set-up names."""
 
 
 class UnrecognisedStationColumnError(RecordError):
-    """Error for a table with a column, of unknown title, that has the names of its set-ups."""
+    """Error for a table in which a column with unknown title contains the names of set-ups."""
 
 
 def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: object) -> None:
-    """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
+    """Check that a table without station names has one set-up: ranges and elevations to each target agree.
 
-    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured
-    them, UnrecognisedStationColumnError is raised, which names the column with the names of the set-ups, or
-    RecordError without such a column.
+    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. For several set-ups,
+    UnrecognisedStationColumnError names the column that contains their names; without such a column RecordError is
+    raised.
     """
     if not table.lacks_station_names:
         return
     targets = distinct_with_indices(table.pointings.target)[1]
     elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
     for values, limit, unit in zip(
-        (readings[:, 0], elevation), MAX_RANGE_AND_ELEVATION_SPREAD, ("m", "rad"), strict=True
+        (readings[:, 0], elevation), MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP, ("m", "rad"), strict=True
     ):
         spread = _median_spread(values, targets)
         if spread <= limit:
@@ -66,13 +66,14 @@ def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: o
 
 
 def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[str]:
-    """Note that names of targets stand for several points, if ranges from a set-up to most names differ; else empty.
+    """Note, in a list, that names of targets denote several points, if ranges from a set-up differ; otherwise empty.
 
-    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad].
+    Ranges must differ for most of the names. `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m,
+    rad, rad].
     """
     sights, groups = distinct_with_indices(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)
-    if spread <= MAX_RANGE_AND_ELEVATION_SPREAD[0]:
+    if spread <= MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP[0]:
         return []
     finite = np.isfinite(readings[:, 0])
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
@@ -87,10 +88,10 @@ def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[
 
 
 def _median_spread(values: Floats, groups: Ints) -> float:
-    """Median, over groups of n values, of the difference between the largest and the smallest value in a group.
+    """Median, over groups of the n `values`, of the largest minus the smallest value in a group.
 
-    `groups` (n,) is the index of the group of each of the `values` (n,); values that are not finite are ignored. The
-    result is 0 if no group has several values.
+    `groups` (n,) is the index of the group of each value. Values that are not finite are ignored. The result is 0 if no
+    group has several values.
     """
     finite = np.isfinite(values)
     if not finite.any():

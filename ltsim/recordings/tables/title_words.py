@@ -1,11 +1,12 @@
-"""Known titles of columns, by role, in English, German and other languages.
+"""Known titles of columns by role (content of the column), in English, German and other languages.
 
-Titles are in lower case, without blanks, accents and punctuation. Letters such as `ł` and `ø`, which are not a letter
-with an accent, are left out. East Asian titles are complete.
+Titles are written in lower case, without blanks, accents and punctuation. Letters such as `ł` and `ø`, which are not
+letters with an accent, are omitted. East Asian titles are unchanged.
 """
 
 EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
-"""Ranges of letters of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables), for a pattern."""
+"""Ranges of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables) letters, for a regular
+expression."""
 
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
@@ -51,12 +52,12 @@ TITLES_BY_ROLE = {
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
-"""English and German titles by the role of the column, separated by blanks."""
+"""English and German titles of columns by role (content, such as `azimuth`), separated by blanks."""
 SUMMARY_ROW_FIRST_WORDS = (
     "sum total count mean average avg median min max minimum maximum std stddev rms summe gesamt anzahl mittel "
     "mittelwert somme moyenne nombre suma media promedio somma totale numero"
 )
-"""Words, separated by blanks, with which a row of sums or means of the rows above begins."""
+"""Words, separated by blanks, with which a row of sums or means begins."""
 FOREIGN_TITLES_BY_LANGUAGE = {
     "French": {
         "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "
@@ -213,7 +214,7 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "relative_humidity_pct": "습도 상대습도",
     },
 }
-"""Titles in other languages: by language, and then by the role of the column."""
+"""Titles of columns in other languages, by language and role (content, such as `azimuth`)."""
 STATION_TITLE_FIRST_WORDS = (
     "instrument",
     "instruments",
@@ -225,7 +226,7 @@ STATION_TITLE_FIRST_WORDS = (
     "gerate",
     "geraete",
 )
-"""First words of titles of stations such as "instrument position"."""
+"""First words of titles of columns of stations, such as "instrument" in "instrument position"."""
 STATION_TITLE_LAST_WORDS = (
     "station",
     "stn",
@@ -238,6 +239,6 @@ STATION_TITLE_LAST_WORDS = (
     "point",
     "location",
 )
-"""Last words of titles of stations such as "instrument position"."""
+"""Last words of titles of columns of stations, such as "position" in "instrument position"."""
 NUMBER_TITLE_ENDINGS = ("no", "nr", "num", "number", "nummer", "id", "name")
-"""Words at the end of the title of a station or round, such as "station no", that do not change its role."""
+"""Words that may end the title of a column of stations or rounds, such as "no" in "station no"."""

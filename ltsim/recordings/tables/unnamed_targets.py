@@ -1,4 +1,4 @@
-"""Targets of a table without point names, such as the positions of a target that moves (on a robot, a T-MAC)."""
+"""Targets of a table without point names, such as the positions of a moving target (on a robot, a T-MAC)."""
 
 from itertools import product
 from operator import add, sub
@@ -15,29 +15,30 @@ from ltsim.recordings.tables.cells import is_numeric
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
-"""Largest distance between two measured points that count as the same position, divided by the largest range: 1 mm at 3
-m, more than the repeatability of a robot."""
+"""Largest distance between measured points of one position, divided by the largest range: 1 mm at 3 m, which is more
+than the repeatability of a robot."""
 MIN_ROWS_OF_MOVING_TARGET = 3
-"""Smallest number of rows, and of different positions, with one target name from which it counts as a moving target."""
+"""Smallest number of rows, and of different positions, with one target name that show a moving target."""
 MAX_COINCIDENT_DISTANCE_M = 1e-3
-"""Largest distance [m] between targets that count as the same point: reflectors have diameters of 12.7 mm and more."""
+"""Distance [m] between two targets below which they are one point, because reflectors have diameters of at least 12.7
+mm."""
 MIN_COINCIDENT_POSITIONS = 3
-"""Smallest number of positions with several targets at which a note reports them."""
+"""Smallest number of positions with several targets that a note reports."""
 MAX_COINCIDENT_NAMES_IN_NOTE = 4
-"""Largest number of names of targets at one position that a note lists."""
-UNNAMED_TARGET = "pose"
-"""Name of all targets of a table without point names, until their positions are computed and numbered."""
+"""Largest number of names of targets at one position in a note."""
+PLACEHOLDER_TARGET_NAME = "pose"
+"""Temporary name of all targets of a table without point names, until their positions are computed and numbered."""
 
 
 class UnnamedTargetsError(RecordError):
-    """Error for a table of several set-ups whose rows name no targets."""
+    """Error for a table of several set-ups without names of targets."""
 
 
 def with_placeholder_target_name(table: PointingTable, hints: Hints, file: object) -> PointingTable:
-    """Table in which all rows have the target name `UNNAMED_TARGET`, in place, if no row names its target.
+    """Table with the target name `PLACEHOLDER_TARGET_NAME` in all rows, if no row names its target; changed in place.
 
-    Raises UnnamedTargetsError for a table of several set-ups without target names, because common targets of the
-    set-ups are then unknown. Raises it also if a column may contain the names, unless the hints name the station.
+    Raises UnnamedTargetsError for several set-ups, because their common targets are then unknown. Raises it also if a
+    column may contain the names of targets, unless the hints name the station.
     """
     pointings = table.pointings
     if {*pointings.target} != {""}:
@@ -53,16 +54,20 @@ def with_placeholder_target_name(table: PointingTable, hints: Hints, file: objec
             "station=NAME if one target moved and one set-up measured it"
         )
         raise UnnamedTargetsError(message, file=file)
-    pointings.target = [UNNAMED_TARGET] * len(pointings)
+    pointings.target = [PLACEHOLDER_TARGET_NAME] * len(pointings)
     table.has_unnamed_targets = True
     return table
 
 
 def _possible_name_titles(table: PointingTable) -> list[str]:
-    """Titles of the columns that may name targets: no role or unit, and whole numbers or texts of which some repeat."""
+    """Titles of columns that may name targets: no role or unit, and texts or whole numbers that partly repeat."""
     titles = []
     for column in table.columns:
-        distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
+        distinct = (
+            {*table.pointings.additional_cell_texts(column.title)}
+            if column.is_additional and not column.role
+            else set()
+        )
         are_names = all(text.isdigit() or not is_numeric(text) for text in distinct)
         if are_names and not column.unit and "" not in distinct and 1 < len(distinct) < len(table.pointings):
             titles.append(safe_excerpt(column.title))
@@ -70,9 +75,9 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
 
 
 def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:
-    """Table in which each position is a separate target, in place, if all rows have the same target name or none.
+    """Table in which each position is a separate target, if all rows have one target name or none; changed in place.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of n pointings on both faces.
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of n pointings in both faces.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1:
@@ -86,7 +91,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     n_positions = int(position_numbers.max()) + 1
     if is_named and n_positions < MIN_ROWS_OF_MOVING_TARGET:
         return table
-    table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in position_numbers.tolist()]
+    table.pointings.target = [f"{PLACEHOLDER_TARGET_NAME}-{place + 1}" for place in position_numbers.tolist()]
     naming_text = f"has one name ('{safe_excerpt(names.pop())}') for all of its rows" if is_named else "names no points"
     table.notes.append(
         f"the table {naming_text}: its {len(position_numbers)} rows are {n_positions} positions of a target that moves "
@@ -97,7 +102,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 
 
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
-    """Note on targets with different names at the same position, as in lists that number each shot; empty without them.
+    """Note, in a list, on targets with different names at one position, as if each shot had a name; otherwise empty.
 
     `readings` (n, 3) are raw ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
@@ -125,9 +130,9 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
 
 
 def _position_numbers(readings: Floats) -> Ints:
-    """Number (n,) of the position that each of n pointings measured, from 0 in the order of first measurement.
+    """Number (n,), from 0, of the position that each of n pointings measured, in order of first measurement.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] in both faces.
     """
     ranges = readings[:, 0]
     longest = float(np.nanmax(ranges, initial=0.0)) or 1.0

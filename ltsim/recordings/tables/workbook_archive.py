@@ -1,4 +1,4 @@
-"""Checks of the archive of a workbook before a library reads it."""
+"""Safety check of the archive of a workbook before a library reads it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ltsim.core.limits import BYTES_PER_MIB, MAX_WORKBOOK_BYTES, MAX_WORKBOOK_PA
 from ltsim.recordings.xml import check_workbook_xml
 
 
-def checked_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
-    """Archive with the parts of a workbook, whose number, unpacked size and XML are checked; raises RecordError.
+def checked_workbook_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
+    """New archive with the parts of a workbook, after checks of their number, unpacked size and XML; or RecordError.
 
-    It is written anew, because the library would unpack a part without regard to the size that the archive declares.
+    The parts are packed again, because the library would unpack them without regard to the declared size.
     """
     checked = io.BytesIO()
     with zipfile.ZipFile(workbook_archive) as archive, zipfile.ZipFile(checked, "w") as copy:

@@ -47,7 +47,7 @@ from ltsim.recordings.settings import to_toml
 from ltsim.reports.scene3d import Camera
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop_scene import workshop_from_scenario
-from ltsim.scene.floor import grid_step
+from ltsim.scene.floor import tripod_grid_spacing
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import InvisibilityReason, shadow_cone_radii
 from ltsim.simulation.physics import planned_construction
@@ -131,7 +131,7 @@ class MovableLayout:
         """
         search = self.plan_file.search
         places = self.search_space.grid_station_positions(
-            grid_step(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
+            tripod_grid_spacing(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
         return (
@@ -194,7 +194,7 @@ class MovableLayout:
         survey = survey.replace(is_visible=visibility.is_visible)
         evaluation = {
             "reasons": visibility.reason_codes.tolist(),
-            "hidden": int(InvisibilityReason.OBSTACLE),
+            "hidden": int(InvisibilityReason.HIDDEN_BY_OBSTACLE),
             "may_stand": self.search_space.is_allowed(survey.station_positions).tolist(),
             "shadow": shadow_cone_radii(
                 survey.station_positions, 0.0, self.search_space.sight_limits.shadow_cone_opening

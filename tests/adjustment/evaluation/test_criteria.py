@@ -138,7 +138,7 @@ def test_verification_against_nominal_points_in_another_frame() -> None:
         ("target,x_mm,y_mm,z_mm\nT1,1,2,abc\n", "row 2, column z_mm: found 'abc', expected a number"),
         ("target,x_mm,y_mm,z_mm\nT1,1,2,\n", "row 2: a coordinate is missing"),
         ("target,x_mm,y_mm,z_mm\nT1,1,2,3\nT1,1,2,4\n", "row 3: the point T1"),
-        ("target,x_mm,y_mm,z_mm\n", "holds no points"),
+        ("target,x_mm,y_mm,z_mm\n", "contains no points"),
         (None, "there is no such file"),
     ],
 )

@@ -105,7 +105,7 @@ def test_a_gross_pointing_is_named_and_nothing_else() -> None:
     apart = re.fullmatch(rf"S2 to {name}: rows (\d+) and (\d+) are ([\d.]+) um apart, .*: measure again", item.sentence)
     assert apart is not None, item.sentence
     assert {int(apart[1]), int(apart[2])} == set(twin.tolist())
-    assert float(apart[3]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.sigma()[70, 0])
+    assert float(apart[3]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.reading_sigmas()[70, 0])
 
 
 @pytest.mark.parametrize("metres", [0.15, 0.2, 1.0])
@@ -115,7 +115,7 @@ def test_a_large_error_of_one_distance_is_gross_and_no_constant_of_the_instrumen
     recording = visits(5)
     front = recording.select(np.flatnonzero(recording.face == 1)[:8])
     again = front.select(np.tile(np.arange(8), rounds))
-    noise = random_stream(4, "repeated").standard_normal((8 * rounds, 3)) * again.sigma()
+    noise = random_stream(4, "repeated").standard_normal((8 * rounds, 3)) * again.reading_sigmas()
     readings = again.readings + noise
     readings[11, 0] -= metres
     again = again.replace(time=10.0 * np.arange(len(again)), repeat=np.arange(len(again)) // 8 + 1)
@@ -216,7 +216,7 @@ def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
     settling = rng.standard_normal((6, 3))[poses] * (shots / 20)[:, None] * 12
     shaken = rng.standard_normal((120, 3)) * np.array([1, 2, 2, 3, 6, 12])[poses][:, None]
     recording = one.select(poses).replace(repeat=shots + 1, time=10.0 * np.arange(120))
-    readings = recording.readings + (settling + shaken) * recording.sigma()
+    readings = recording.readings + (settling + shaken) * recording.reading_sigmas()
     found = check(recording.with_readings(readings))
     assert not kinds(found) & {("S1", "drift"), ("S1", "instrument-drift"), ("S1", "bump")}
     closure = next(item for item in found.items if item.kind == "closure")
@@ -230,7 +230,7 @@ def test_what_was_not_measured_again_has_no_value() -> None:
     recording = visits(4)
     rows = np.flatnonzero((recording.face == 1) | np.isin(recording.target, [0, 1]))
     for seed in range(4):
-        readings = recording.readings + recording.sigma() * random_stream(seed, "more").standard_normal(
+        readings = recording.readings + recording.reading_sigmas() * random_stream(seed, "more").standard_normal(
             (len(recording), 3)
         )
         found = check(recording.with_readings(readings).select(rows))
@@ -287,7 +287,7 @@ def test_scatter_is_judged_on_both_sides() -> None:
     assert any("less than declared" in item.sentence for item in found.items)
     shaken = (
         recording.readings
-        + random_stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
+        + random_stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.reading_sigmas()
     )
     assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
 
@@ -295,7 +295,12 @@ def test_scatter_is_judged_on_both_sides() -> None:
 def test_tests_that_pass_state_an_estimated_noise() -> None:
     """2.5 times the declared noise of the angles: what passes does so against the estimated noise, which is stated."""
     recording = network(seed=11, stations=4, faces=2)[0]
-    extra = 2.3 * recording.sigma() * random_stream(11, "angles").standard_normal((len(recording), 3)) * [0.0, 1.0, 1.0]
+    extra = (
+        2.3
+        * recording.reading_sigmas()
+        * random_stream(11, "angles").standard_normal((len(recording), 3))
+        * [0.0, 1.0, 1.0]
+    )
     found = check(recording.with_readings(recording.readings + extra))
     assert not found.passed
     tests = [item.sentence for item in found.items if "repeated pointings scatter" in item.sentence]
@@ -479,7 +484,9 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
     """Directions to four targets are ten times as noisy: neither a set-up nor the network blames a pointing of them."""
     for seed in range(5):
         recording = network(faces=2, seed=seed)[0]
-        extra = 10.0 * recording.sigma() * random_stream(seed, "noisy").standard_normal(recording.readings.shape)
+        extra = (
+            10.0 * recording.reading_sigmas() * random_stream(seed, "noisy").standard_normal(recording.readings.shape)
+        )
         noisy = recording.readings + np.isin(recording.target, [3, 9, 14, 20])[:, None] * extra * [0.0, 1.0, 1.0]
         found = check(recording.with_readings(noisy), level=0.001)
         failed = [item for item in found.items if not item.passed]

@@ -31,7 +31,7 @@ def seen(recording: Recording, points: Points, seed: int) -> Recording:
     _, state = workshop()
     arm = points[recording.target] - state.station_positions[recording.station]
     readings = to_polar(np.einsum("nji,nj->ni", state.station_rotations[recording.station], arm))
-    noise = random_stream(seed, "degenerate").standard_normal(readings.shape) * recording.sigma()
+    noise = random_stream(seed, "degenerate").standard_normal(readings.shape) * recording.reading_sigmas()
     return recording.with_readings(readings + noise)
 
 
@@ -123,7 +123,9 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     exact = recording.with_readings(seen(recording, state.target_points, seed).readings)
     exact = exact.select((exact.station < 3) & (exact.target < 9))
     extra = (
-        random_stream(seed, "larger").standard_normal(exact.readings.shape) * exact.sigma() * np.sqrt(noise**2 - 1.0)
+        random_stream(seed, "larger").standard_normal(exact.readings.shape)
+        * exact.reading_sigmas()
+        * np.sqrt(noise**2 - 1.0)
     )
     noisy = exact.with_readings(exact.readings + extra)
     adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
@@ -157,7 +159,7 @@ def exactly_vertical(recording: Recording) -> Recording:
 
 def without_angles(recording: Recording) -> Recording:
     """The recording without the angles of its pointings along the vertical axis."""
-    return recording.with_readings(np.where(recording.is_usable, recording.readings, np.nan))
+    return recording.with_readings(np.where(recording.is_usable_reading, recording.readings, np.nan))
 
 
 AXES = {
@@ -199,7 +201,9 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     once = along_axes(recording, state.target_points, 2.0, (1,)).select(recording.station == 1)
     twice = once.select(np.tile(np.arange(len(once)), 2))
     face, count = np.repeat([1, 2], len(once)), len(twice)
-    noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.is_usable, twice.sigma(), 1e-6)
+    noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(
+        twice.is_usable_reading, twice.reading_sigmas(), 1e-6
+    )
     readings = to_face(twice.readings, face) + noise
     twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
     turned = np.where(twice.is_along_standing_axis[:, None] & [False, True, False], 1.0 + face[:, None], readings)

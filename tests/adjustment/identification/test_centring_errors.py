@@ -92,7 +92,7 @@ def test_one_target_displaced_at_random_at_every_set_up() -> None:
 
 def test_noise_of_a_set_up_is_no_centring_error() -> None:
     recording = hall()[0]
-    larger = recording.sigma() * (recording.station == recording.stations.index(STATION))[:, None]
+    larger = recording.reading_sigmas() * (recording.station == recording.stations.index(STATION))[:, None]
     noise = 5.0 * larger * random_stream(9, "noise").standard_normal(larger.shape)
     selection = identified(recording.with_readings(recording.readings + noise))
     assert [c.hypothesis.kind for c in selection.selected_hypotheses] == ["noise-level"]
@@ -132,7 +132,9 @@ def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
     """Three shots each from one face: their errors are common, and they scatter `scatter` times as much as declared."""
     once, _ = network(seed=21, stations=5, faces=1)
     recording = once.select(np.repeat(np.arange(len(once)), 3))
-    noise = scatter * recording.sigma() * random_stream(22, "scatter").standard_normal(recording.readings.shape)
+    noise = (
+        scatter * recording.reading_sigmas() * random_stream(22, "scatter").standard_normal(recording.readings.shape)
+    )
     selection = identified(recording.with_readings(recording.readings + noise))
     kinds = [(test.kind, test.where.stations, test.where.targets) for test in cause_tests(selection)]
     assert kinds[0] == ("centring", (), ())

@@ -446,7 +446,9 @@ def test_noise_factors_of_common_readings_are_estimated_together() -> None:
 def test_noise_of_the_angles_is_reported_with_the_settings_to_declare() -> None:
     recording = network(faces=2, seed=21)[0]
     extra = (
-        np.sqrt(2.4**2 - 1.0) * recording.sigma() * random_stream(22, "noise").standard_normal(recording.readings.shape)
+        np.sqrt(2.4**2 - 1.0)
+        * recording.reading_sigmas()
+        * random_stream(22, "noise").standard_normal(recording.readings.shape)
     )
     noisy = recording.with_readings(recording.readings + extra * [0.0, 1.0, 1.0])
     found = lt.check(noisy)

@@ -158,7 +158,7 @@ def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_rem
     network = PlannedNetwork.from_adjustment(found)
     before = len(network.recording)
     remedies = [*pointing_candidates(network), *repeated_setup_candidates(network, 60.0)]
-    assert all(candidate.network.recording.is_horizontal[before:].all() for candidate in remedies)
+    assert all(candidate.network.recording.is_horizontal_distance[before:].all() for candidate in remedies)
     determined = {
         candidate.instruction.split(",")[0]: candidate.make_adjustment() is not None
         for candidate in remedies

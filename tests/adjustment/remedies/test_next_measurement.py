@@ -76,7 +76,7 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     made = rank_next_measurements(recording)
     best = made.proposals[0].candidate.network
     added = np.arange(len(best.recording)) >= len(recording)
-    noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.sigma()
+    noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.reading_sigmas()
     readings = best.recording.readings + noise * added[:, None]
     before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
     scale = before.problem.prior.sigma[0]

@@ -12,7 +12,7 @@ from ltsim.simulation.simulator import make_measurement_geometry, measure_trial
 def test_sigma_is_that_of_a_recording() -> None:
     work = make_measurement_geometry(load_scenario("paper-workshop-two-face"), 3)
     recording, _ = measure_trial(work, 3)
-    np.testing.assert_allclose(true_noise_sigmas(work.scenario, work.sightings), recording.sigma(), rtol=1e-3)
+    np.testing.assert_allclose(true_noise_sigmas(work.scenario, work.sightings), recording.reading_sigmas(), rtol=1e-3)
 
 
 @given(st.floats(-10, 10), st.sampled_from([1e-7, 0.018 * ARCSECOND, 0.5]))
