@@ -2,15 +2,14 @@
 
 The data decide, and a note reports the decision; if the data are ambiguous, an error asks the user for a hint. Readings
 in both faces determine the unit and the kind of the vertical angle by their sum, a full circle for zenith angles and
-half a circle for elevations. With one face, lengths between targets common to two stations decide: they agree only in
-the correct unit. The sense of the azimuth (clockwise or not) needs known coordinates or poses, because the mirror image
-of a network has the same lengths and sums.
+half a circle for elevations. With one face, lengths between targets common to two stations decide, which agree only in
+the correct unit. The sense of the azimuth needs known coordinates or poses: a mirrored network has the same lengths.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 
@@ -206,20 +205,15 @@ def _convention_from_lengths(
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
 
 
-def _raise_missing_hint(
-    polar: PolarReadings, candidates: list[AngleConvention], file: object
-) -> tuple[AngleConvention, str]:
+def _raise_missing_hint(polar: PolarReadings, candidates: list[AngleConvention], file: object) -> NoReturn:
     """RecordError that lists the `candidates` and the options to type; the function always raises it."""
     has_common_unit = len({a for a, _ in candidates}) == 1
-    has_vertical_angles = bool(np.isfinite(polar.vertical_angles).any())
-    kinds = [f"{kind} angles" if has_vertical_angles else "horizontal angles" for _, kind in candidates]
-    choices = " or ".join(
-        kind if has_common_unit else f"{kind} in {unit}" for kind, (unit, _) in zip(kinds, candidates, strict=True)
-    )
+    kinds = [f"{k if np.isfinite(polar.vertical_angles).any() else 'horizontal'} angles" for _, k in candidates]
+    choices = " or ".join(k if has_common_unit else f"{k} in {a}" for k, (a, _) in zip(kinds, candidates, strict=True))
     hints = [] if has_common_unit else [f"--hint angle={candidates[0][0]}"]
     hints += [f"--hint vertical={candidates[0][1]}"] if len({v for _, v in candidates}) > 1 else []
-    message = f"the angles may be {choices}; the data do not decide which, therefore give {' '.join(hints)}"
-    raise RecordError(message, file=file)
+    message = f"the angles may be {choices}; the data do not decide which, therefore give"
+    raise RecordError(f"{message} {' '.join(hints)}", file=file)
 
 
 def distance_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:

@@ -59,7 +59,7 @@ def test_rounded_height_differences_give_less_certain_elevations(tmp_path: Path)
     recording = recorded(tmp_path, table("dH", mark_to_mark=False))
     x, y, _ = np.array([TARGETS[recording.targets[i]] for i in recording.target]).T
     rounding = 1e-4 / np.sqrt(12.0) / np.hypot(x, y)
-    np.testing.assert_allclose(recording.sigma()[:, 2], np.hypot(ARCSECOND, rounding), rtol=1e-3)
+    np.testing.assert_allclose(recording.reading_sigmas()[:, 2], np.hypot(ARCSECOND, rounding), rtol=1e-3)
 
 
 def test_measured_vertical_angles_have_priority(tmp_path: Path) -> None:

@@ -45,8 +45,7 @@ set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search tries to turn a law on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps of a law for which a local search tries other positions, because each costs
-time."""
+"""Largest number of steps and ramps of a law for which a local search tries other positions; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
 number of gaps between two steps (a few pointings do not determine the size of a step)."""
@@ -333,8 +332,8 @@ class EmpiricalLaw(CandidateEffect):
     def equivalent_vertical_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; if there is none, the law itself.
 
-        The laws are equivalent if the error of the elevation changes sign with the face. If all readings are in one
-        face, they are equivalent if the law depends only on time or on additional columns of the recording.
+        They are equivalent if the elevation error changes sign with the face, or, with readings in one face only, if
+        the law depends only on time or on additional columns of the recording.
         """
         if self.response.name != "elevation":
             return self

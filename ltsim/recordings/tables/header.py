@@ -144,11 +144,6 @@ class TableColumn:
         """True if the column becomes a covariate or a label, because it has a title and no role in a pointing."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
-    @property
-    def unit_in_title(self) -> str:
-        """Unit in the title, in brackets or after an underscore, also of a column without a role; '' for none."""
-        return self.unit or UNITS_BY_SPELLING.get(self.title.rpartition("_")[2].casefold(), "")
-
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
     """Columns with the titles `fields`, each with the role (content) and unit that its title implies, as a new list."""

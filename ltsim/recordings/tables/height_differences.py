@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import SI_PER_UNIT
+from ltsim.core.units import SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.tables import cells
@@ -66,20 +66,20 @@ def height_differences(table: PointingTable, length_unit: str) -> HeightDifferen
     `length_unit` is the unit of columns without declared unit. Height differences between marks, in a table with
     heights of instrument and target, are converted to those from tilting axis to reflector.
     """
-    if table.column(("flat",)) is None or table.column(VERTICAL_ROLES) is not None:
+    if table.column_with_role(("flat",)) is None or table.column_with_role(VERTICAL_ROLES) is not None:
         return None
     titles = (*AXIS_TO_PRISM_TITLES, *MARK_TO_MARK_TITLES)
     column = next((c for c in table.columns if c.is_additional and _title_words(c) in titles), None)
     if column is None:
         return None
-    differences, step = _lengths_and_step(table, column.title, column.unit_in_title or length_unit)
+    differences, step = _lengths_and_step(table, column.title, unit_in_title(column) or length_unit)
     if not np.isfinite(differences).any():
         return None
     ends = "from tilting axis to reflector"
     if _title_words(column) in MARK_TO_MARK_TITLES:
         heights = [
             np.nan_to_num(_lengths_and_step(table, c.title, c.unit or "m")[0])
-            for c in (table.column((role,)) for role in HEIGHT_ROLES)
+            for c in (table.column_with_role((role,)) for role in HEIGHT_ROLES)
             if c is not None
         ]
         if len(heights) == len(HEIGHT_ROLES):
@@ -94,15 +94,23 @@ def height_differences(table: PointingTable, length_unit: str) -> HeightDifferen
     return HeightDifferences(differences, step, note)
 
 
+def unit_in_title(column: TableColumn) -> str:
+    """Unit in the title of a column, in brackets or after an underscore, also of a column without a role.
+
+    The text is empty for a title without unit.
+    """
+    return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
+
+
 def _title_words(column: TableColumn) -> str:
     """Title of a column in the form of `normalised_title`, without a unit in brackets or after an underscore."""
     words, unit = title_words_and_unit(column.title)
-    return words if unit or not column.unit_in_title else normalised_title(column.title.rpartition("_")[0])
+    return words if unit or not unit_in_title(column) else normalised_title(column.title.rpartition("_")[0])
 
 
 def _lengths_and_step(table: PointingTable, title: str, unit: str) -> tuple[Floats, float]:
     """Lengths (n,) [m] in n cells of an additional column (NaN for a cell without number), and their last digit [m]."""
-    texts = table.pointings.texts(title)
+    texts = table.pointings.additional_cell_texts(title)
     numbers = [*map(cells.parse_number_or_angle, texts, table.pointings.thousands_separator)]
     last_digit = min((int(number.as_tuple().exponent) for number in numbers if number is not None), default=0)
     lengths = np.array([NOT_MEASURED if number is None else float(number) for number in numbers])

@@ -50,7 +50,7 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
-from ltsim.recordings.tables.height_differences import height_differences
+from ltsim.recordings.tables.height_differences import height_differences, unit_in_title
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
@@ -179,7 +179,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
         (DISTANCE_ROLES, "distances", LENGTH_UNITS),
     ):
-        columns = [c for c in table.columns if c.is_additional and not c.role and c.unit_in_title in units]
+        columns = [c for c in table.columns if c.is_additional and not c.role and unit_in_title(c) in units]
         if columns and table.column_with_role(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{safe_excerpt(c.title)}'" for c in columns)
             notes.append(
