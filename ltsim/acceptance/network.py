@@ -49,7 +49,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Phrase on the treatment of an identified error: `treatment_text`, or another one for centring errors."""
+    """Phrase on the treatment of an identified error: `treatment_text`, or another phrase for centring errors."""
     if cause.kind != CENTRING_CAUSE_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
@@ -63,8 +63,7 @@ class NetworkTests:
     """Tests of lengths and two-face differences, with their errors and limits."""
     corrected_causes: tuple[CauseTest, ...]
     """Errors in the recording that are no errors of the tracker. They are removed from the tested readings; centring
-    errors are not removed, but included in the uncertainties.
-    """
+    errors are not removed, but included in the uncertainties."""
     tracker_causes: tuple[CauseTest, ...]
     """Possible errors of the tracker, which remain in the tested readings."""
     uncorrected_causes: tuple[CauseTest, ...]
@@ -75,7 +74,7 @@ class NetworkTests:
     """Ratio of the scatter of the readings to their declared noise if no cause of the scatter is identified; otherwise
     1."""
     n_errors_rejected_after_correction: int = 0
-    """Number of errors that are rejected if the readings are corrected by the estimated instrument constants."""
+    """Number of test errors that are rejected if the readings are corrected by the estimated instrument constants."""
 
     @property
     def identified_error_sentences(self) -> tuple[str, ...]:

@@ -26,14 +26,13 @@ from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
 MAX_NEGLIGIBLE_FRACTION_OF_LIMIT = 1e-6
-"""Change of a test's error, as a fraction of its limit, that counts as rounding. If an instrument constant with the
-size of its prior standard deviation changes no test's error by more, no test counts as dependent on this constant."""
+"""Change of a test's error, as a fraction of its limit, that counts as rounding. A test counts as dependent on an
+instrument constant if the constant, with the size of its prior standard deviation, changes the error by more."""
 MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA = 1e-6
 """Size of an instrument constant, as a fraction of its prior standard deviation, below which it is replaced by zero."""
 MAX_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
-largest point errors that passes all tests.
-"""
+largest point errors that passes all tests."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,13 @@ class AcceptancePlan:
     """Plan of acceptance tests with their limits, for an instrument with a given geometric error model."""
 
     tests: tuple[AcceptanceTest, ...]
+    """Acceptance tests of the plan."""
     construction: GeometricErrorModel
-    """Error model of the instrument."""
+    """Geometric error model of the instrument."""
     specification: Specification
     """Manufacturer's specification with the limits of the tests."""
     declared_noise: Noise
-    """Standard deviations of the readings."""
+    """Declared standard deviations of the readings."""
 
     @cached_property
     def _test_end_points(self) -> tuple[Floats, Floats]:
@@ -60,7 +60,7 @@ class AcceptancePlan:
 
     @cached_property
     def permissible_errors(self) -> Floats:
-        """Maximum permissible errors by the specification, (tests,) [m]."""
+        """Maximum permissible errors (tests,) [m] by the specification."""
         first, second = self._test_end_points
         limit = self.specification.two_face_limits(first)
         chosen = self.is_length
@@ -68,7 +68,7 @@ class AcceptancePlan:
         return limit
 
     def test_errors(self, constants: Floats) -> Floats:
-        """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with given `constants`.
+        """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with these `constants`.
 
         The row of a length contains measured minus true length, and 0. The row of a two-face test contains front-face
         minus back-face point, to the left and upwards as seen from the instrument.
@@ -120,8 +120,8 @@ class AcceptancePlan:
         """Predicted tests of an instrument whose constants have a known mean and covariance.
 
         `mean_constants` has the shape (constants,) [SI], `covariance` (constants, constants) [SI]. The probability to
-        pass is estimated with `n_trials` random draws of constants and noise; the errors are linear in the difference
-        of the constants from their mean.
+        pass is estimated with `n_trials` random draws of instrument constants and noise; the errors are linear in the
+        difference of the constants from their mean.
         """
         rng = random_stream(seed, "accept")
         mean_errors = self.test_errors(mean_constants)
@@ -156,7 +156,7 @@ class AcceptancePlan:
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:
-        """Smallest size of each instrument constant at which a test fails, (constants,) [SI], and this test.
+        """Smallest size (constants,) [SI] of each instrument constant at which a test fails, and the test that fails.
 
         All other constants are zero. The size is infinite if no test depends on the constant.
         """
@@ -174,10 +174,10 @@ class AcceptancePlan:
     def worst_passing_constants(self, prior_sigmas: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Instrument constants that pass all tests although the errors of `points` are largest, and these errors.
 
-        `points` has the shape (points, 3) [m]. The result is the constants (constants,) [SI], the root mean square
-        point error [m] and the largest point error [m]. The search is along the directions in the space of constants
-        with the largest ratio of point errors to test errors, up to the limits of the tests and to `MAX_PRIOR_SIGMAS`
-        times `prior_sigmas` (constants,) [SI].
+        `points` has the shape (points, 3) [m]. The result is the instrument constants (constants,) [SI], the root mean
+        square point error [m] and the largest point error [m]. The search is along the directions in the space of
+        constants with the largest ratio of point errors to test errors, up to the limits of the tests and to
+        `MAX_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
         directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
@@ -196,7 +196,7 @@ class AcceptancePlan:
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
-        """Longest vector of constants (constants,) [SI] along a direction that passes every test, accurate to 0.1 %.
+        """Longest vector (constants,) [SI] of instrument constants along a direction that passes every test, to 0.1 %.
 
         `unit_direction` (constants,) is in units of `prior_sigmas` (constants,) [SI].
         """
@@ -213,12 +213,12 @@ class AcceptancePrediction:
     """Predicted results of acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors, (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left
-    and upwards."""
+    """Expected errors (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left and
+    upwards."""
     error_sigmas: Floats
-    """Standard deviations of the two components of `expected_errors` including noise, (tests, 2) [m]."""
+    """Standard deviations (tests, 2) [m] of the two components of `expected_errors`, including noise."""
     pass_probabilities: Floats
-    """Probability that each test passes, (tests,)."""
+    """Probability (tests,) that each test passes."""
     all_pass_probability: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
@@ -226,10 +226,10 @@ class AcceptancePrediction:
 
 
 def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
-    """Displacement of points measured in the front face by each instrument constant with the size `prior_sigma`.
+    """Displacement (coordinates, constants) [m] of points by each instrument constant with the size `prior_sigma`.
 
-    The rigid motion that fits the displacements best is subtracted. The shape is (coordinates, constants) [m] for
-    `points` (points, 3) [m] and `prior_sigma` (constants,) [SI].
+    The points are measured in face 1. The rigid motion that fits the displacements best is subtracted. `points` has the
+    shape (points, 3) [m], and `prior_sigma` (constants,) [SI].
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [

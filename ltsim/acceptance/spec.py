@@ -23,7 +23,7 @@ from ltsim.recordings.tables.sheets import read_small_table
 TestKind = Literal["length", "two-face"]
 """Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""
 TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-"""Names of the columns of a CSV table of tests that a user writes."""
+"""Names of the columns of a CSV table of acceptance tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
 """Smallest reference length [m] that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
 CLOSEST_POSITION_DISTANCE = 1.2
@@ -39,9 +39,10 @@ class AcceptanceTest:
     """Acceptance test of a tracker: a length between two points, or one target measured in both faces."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
+    """False: pytest does not collect this class."""
 
     name: str
-    """Name of the test."""
+    """Name of the acceptance test."""
     group: str
     """Group of the test, such as the two-face tests or the lengths in one orientation."""
     kind: TestKind
@@ -159,6 +160,7 @@ def read_table_rows(
 
 
 def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> AcceptanceTest:
+    """Acceptance test from a row of a CSV table; raises InputError with the row for invalid values."""
     kind = row["kind"]
     if kind not in ("length", "two-face"):
         raise InputError(f"{file}: row {line_number}: kind is '{safe_excerpt(kind)}', expected length or two-face")
@@ -171,6 +173,7 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
 
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
+    """Coordinates (3,) [m] of the point with the number `end_name` from a row of a CSV table; raises InputError."""
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
     coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
@@ -182,7 +185,7 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
 
 
 def points_around_instrument() -> Floats:
-    """Points (180, 3) [m] around an instrument, at which point errors that acceptance tests do not detect are computed.
+    """Points (180, 3) [m] around an instrument, at which errors that the acceptance tests do not detect are computed.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
     """
@@ -200,7 +203,7 @@ class AcceptanceSettings(TomlSection):
     """Content of an acceptance file; paths of other files are relative to it.
 
     With `measured_errors_file`, measured errors are evaluated. With `recording`, lengths between the targets of a
-    network replace calibrated lengths. With neither, the tests are predicted, for the instrument of `calibration` or
+    network replace calibrated lengths. Without both, the tests are predicted, for the instrument of `calibration` or
     for any instrument that meets the specification.
     """
 
@@ -244,6 +247,7 @@ class AcceptanceSettings(TomlSection):
 
     @model_validator(mode="after")
     def _check_complete(self) -> Self:
+        """Check that the keys of the file are complete and do not exclude each other; raises ValueError."""
         if self.instrument is None and self.specification is None:
             raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests_file is None):

@@ -41,19 +41,19 @@ MAX_PREDICTED_TESTS = 2_000
 """Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
 MB."""
 MAX_TEST_DRAWS = 3e8
-"""Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
+"""Largest product of the number of tests and the number of random draws in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_DIVISOR_UM = 1e-3
 """Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
 DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
 )
-"""Sentence on the decision rule for measured errors."""
+"""Sentence on the rule by which measured errors are accepted or rejected."""
 NETWORK_UNCERTAINTY_TEXT = (
     "U of a length contains the adjusted network and the errors removed from the recording. A two-face error has no "
     "reference: its U contains only those errors and scatter beyond the declared noise, so that it may be 0."
 )
-"""Sentences on the expanded uncertainties U of test errors in a network."""
+"""Sentences on the content of the expanded uncertainties U of test errors in a network."""
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
@@ -96,6 +96,7 @@ def _require_few_draws(n_tests: int, n_trials: int) -> None:
 
 
 def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
+    """Prediction of the tests, or evaluation of the measured errors or of the network that the settings name."""
     limits = acceptance_settings.specification_or_data_sheet
     if acceptance_settings.recording is not None:
         recording = read(folder / acceptance_settings.recording)
@@ -181,7 +182,7 @@ def evaluated_result(
     recording: Recording | None = None,
     network_tests: NetworkTests | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors, with joint judgement, sentence and next actions.
+    """Content of `accept.json` for measured errors, with the judgement of all errors, sentence and next actions.
 
     `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
     recording and `network_tests` its tests, which are also `test_outcomes`.
@@ -218,6 +219,7 @@ def evaluated_result(
 
 
 def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
+    """Outcome with this judgement whose error exceeds its limit most, or is closest to it."""
     return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 
@@ -288,9 +290,11 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
     """
 
     def margin(test_outcome: TestOutcome) -> float:
+        """Distance [um] between the absolute error of a test and its limit."""
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
     def ratio(test_outcome: TestOutcome) -> float:
+        """Ratio of the expanded uncertainty of a test to the distance of its error from the limit."""
         return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_DIVISOR_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]

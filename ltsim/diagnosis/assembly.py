@@ -1,4 +1,4 @@
-"""Assembly of the result of a diagnosis: findings of the selected model, of tests, and on changes of the noise."""
+"""Assembly of the result of a diagnosis from findings of the selected model, of tests, and on changed noise levels."""
 
 from collections.abc import Sequence
 
@@ -43,7 +43,7 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.scene.sightings import Sightings
 
 MAX_REPORTED_NOISE_SIZES = 12
-"""Largest number of targets, set-ups or readings whose noise a finding reports separately."""
+"""Largest number of targets, set-ups or readings whose changed noise level a finding reports separately."""
 
 
 def assemble_diagnosis(
@@ -57,12 +57,13 @@ def assemble_diagnosis(
     *,
     is_mismatch: bool,
 ) -> Diagnosis:
-    """Diagnosis from the selected model after its refit, and from the findings of tests.
+    """Diagnosis from the selected model after its nonlinear refit, and from the findings of tests.
 
     `recording_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
-    `test_findings` are the findings of tests, which need no search. `final_adjustment` is the adjustment with the
-    selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
-    of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
+    `test_findings` are findings that need no search, such as blunders. `final_adjustment` is the adjustment with the
+    selected model, or without it if the former did not converge. `held_out_errors` are prediction errors of held-out
+    readings. `cause_selection` has the simple causes that the adjustment identified before the search, None without
+    them. `is_mismatch` is True if the global test rejects the agreement of readings and model.
     """
     state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
@@ -119,9 +120,9 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis, sorted by decreasing chi-square drop.
+    """Findings of a diagnosis, sorted by decreasing drop of chi-square.
 
-    They are findings of tests, of effects that shift readings, and of changes of the noise. Improbable changes of the
+    They are findings of tests, of effects that shift readings, and on changed noise levels. Improbable findings on the
     noise are reported only if there is no other finding.
     """
     probable_noise = [
@@ -134,10 +135,10 @@ def _reported_findings(
 def _averaged_targets_and_reading_change(
     model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates, and change (n, 3) of the readings of n pointings minus their change by the refit.
+    """Averaged target coordinates, and averaged change (n, 3) of the readings of n pointings minus that by the refit.
 
-    Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
-    those of the ordinary adjustment.
+    The averages are over the possible causes of each finding. If no cause is more probable than not, the coordinates
+    are those of the ordinary adjustment. The unit of the change is [m, rad, rad].
     """
     state = model_fit.selection_state
     targets, change = average_over_explanations(
@@ -155,7 +156,10 @@ def _averaged_targets_and_reading_change(
 def _noise_finding(
     hypothesis: NoiseHypothesis, sightings: Sightings, global_test: GlobalTestResult, *, has_clock: bool = True
 ) -> Finding:
-    """Finding that reports a change of the noise, limited to the observables in which the change is significant."""
+    """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
+
+    `has_clock` is True if the recording has times, so that intervals of time are texts of times and not of rows.
+    """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
@@ -199,7 +203,10 @@ def _noise_finding(
 
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
+    """Names of the observables whose noise is significantly larger (or smaller) than declared.
+
+    The sign is that of the largest change.
+    """
     plausible_sizes = hypothesis.effect.plausible_sizes
     sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes
     signed_sizes = (

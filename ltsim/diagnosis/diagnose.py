@@ -7,12 +7,12 @@ Decisions in their order, each with its function, its module and its criterion:
 2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
 3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
    recordings. The search goes on if its p-value is below the level.
-4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
+4. Noise hypotheses or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
 5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect increases the log
    evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
    evidence.
-7. Changes of the noise (`SelectionState.with_noise_change`) and effects in turns, while the log evidence increases.
+7. Noise hypotheses (`SelectionState.with_noise_hypothesis`) and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
 10. Effects of the model with too small a probability are not reported
@@ -68,8 +68,8 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO = 0.5
-"""Smallest ratio of two differences of an instrument constant from its reference (with the selected effects in the
-model, and without them) for which the difference is reported. Below this ratio the effects explain it."""
+"""Smallest ratio at which the difference of an instrument constant from its reference is reported: the difference with
+the selected effects in the model, divided by that without them. Below this ratio the effects explain the difference."""
 
 
 @raise_for_singular_network
@@ -82,7 +82,7 @@ def diagnose(
     history: EarlierCalibrationPrior | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnosis of a recording: agreement with the model, or otherwise the probable causes of the mismatch.
+    """Diagnosis of a recording: agreement with the model, or otherwise the probable causes of the misfit.
 
     Parameters
     ----------
@@ -181,11 +181,12 @@ def _state_without_blunders(
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
-    """State before a search, without the blunders among the simple causes, and the findings of these blunders.
+    """State of the selection before a search, without blunders, and the findings on these blunders.
 
-    `selection` contains the simple causes of the network. With a `level` (false-alarm rate) the search has a p-value.
-    With `tests_ordinary_constants` changes of the constants of the ordinary calibration are hypotheses too.
-    `readmitted_mask` (n, 3) flags readings of blunders that are used nevertheless.
+    `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
+    search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
+    the ordinary calibration. `readmitted_mask` (n, 3) flags readings of n pointings that count as blunders but are
+    used.
     """
     if selection is None:
         baseline, blunder_findings = adjust(recording, construction), list[Finding]()
@@ -206,13 +207,16 @@ def _state_without_blunders(
 
 
 def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
+    """Flags (n, 3) of the omitted readings of n pointings whose residuals are small in an adjustment with effects.
+
+    `is_omitted` (n, 3) flags the omitted readings.
+    """
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
-    """True if one of the effects lets the instrument constant `constant_name` (a name) vary during the recording."""
+    """True if one of `effects` lets the instrument constant named `constant_name` vary during the recording."""
     laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (constant_names_of_chain_error(getattr(e, "chain_error", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
@@ -222,7 +226,11 @@ def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> 
 def _search_and_refit(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[SelectionState, Model, Refit]:
-    """State after the search, the selected model, and its nonlinear refit; the model is empty unless `is_mismatch`."""
+    """State of the selection after the search, the selected model, and the nonlinear refit of this model.
+
+    If `is_mismatch` is False, no search is needed, and the model has no effects. `compare_with_reference` returns the
+    instrument constants that contradict their reference in an adjustment.
+    """
     state, model = (
         select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
     )
@@ -235,10 +243,10 @@ def _contradictions_unexplained_by_model(
     final_adjustment: Adjustment,
     compare_with_reference: ConstantComparisonFunction,
 ) -> tuple[ConstantContradiction, ...]:
-    """Instrument constants that contradict their reference with the selected model as well as without it.
+    """Instrument constants that contradict their reference with the selected effects in the model, and without them.
 
-    Their difference from the reference with the model is at least `MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO` times the
-    difference without the model.
+    Their difference from the reference with the effects is at least `MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO` times
+    the difference without the effects. `compare_with_reference` returns the contradictions in an adjustment.
     """
     with_model = compare_with_reference(final_adjustment).contradictions
     if not model.hypotheses:
@@ -280,23 +288,23 @@ def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]
 def log_bayes_factor_of_refits(model: Model, reduced_model: Model, chi2_drop: float) -> float:
     """Log Bayes factor of a model against a model with fewer effects, from their nonlinear refits.
 
-    It is the difference of the log evidences of the linear models, in which the decrease of chi-square between the
-    nonlinear refits, `chi2_drop`, replaces the decrease between the linear models.
+    It is the difference of the log evidences of the linear models. The decrease of chi-square between the nonlinear
+    refits, `chi2_drop`, replaces that between the linear models.
     """
     linear = float(reduced_model.residual @ reduced_model.residual - model.residual @ model.residual)
     return model.penalised_log_evidence - reduced_model.penalised_log_evidence + 0.5 * (chi2_drop - linear)
 
 
 def _has_specific_noise_change(noise_changes: Sequence[NoiseHypothesis]) -> bool:
-    """True if any of the changes of the noise is not a change of the noise level of the whole recording."""
+    """True if any selected noise hypothesis is more specific than a noise level of the whole recording."""
     return any(not isinstance(change.effect, NoiseLevel) for change in noise_changes)
 
 
 def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` is
-    empty, it equals the error without a model.
+    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` has no
+    effects, it equals the error without a model.
     """
     nominal = state.recording.sigma()
     space, seed = state.searcher.space, state.seed

@@ -21,21 +21,22 @@ from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CandidateEffectT = TypeVar("CandidateEffectT", bound=CandidateEffect)
+"""Type variable of a catalogue effect or an empirical law."""
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
-"""Place of an effect: names of the stations, and names of the targets, where it acts; empty for all."""
+"""Names of the stations, and names of the targets, where an effect acts; empty for all."""
 
 
 class AffectedRows(NamedTuple):
-    """Rows of the residual space on which an effect acts."""
+    """Observation equations on which an effect acts."""
 
     row_indices: Ints | slice
-    """Indices of the affected rows of the residual space, or a slice of these rows."""
+    """Indices of the affected observation equations, or a slice of them."""
     pointing_indices: Ints
-    """Index (r,) of the pointing of each of the r rows that are readings."""
+    """Index (r,) of the pointing of each of the r affected readings."""
 
 
 class EvidenceCalculator:
-    """Calculator of Gram matrices, scores and log evidence of effects in one residual space."""
+    """Calculator of Gram matrices, scores and log evidence of effects in the residual space of one adjustment."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
@@ -47,9 +48,10 @@ class EvidenceCalculator:
     def grams_and_scores(
         self, effects: Sequence[CandidateEffect], conditioning_model: Model
     ) -> list[tuple[Floats, Floats]]:
-        """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the adjustment and a model.
+        """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the effects of a model.
 
-        They are the products of the projected design columns of the effect with each other, and with the residuals.
+        They are the products of the projected design columns of the effect with each other, and with the residuals of
+        the adjustment that also estimates the effects of `conditioning_model`.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches_with_same_rows(effects):
@@ -66,7 +68,10 @@ class EvidenceCalculator:
         return [moments[i] for i in range(len(effects))]
 
     def log_evidence(self, effects: Sequence[CandidateEffect], conditioning_model: Model) -> Floats:
-        """Log marginal likelihood ratio (effects,) of each effect to no effect, given a model, averaged over sizes."""
+        """Log Bayes factors (effects,) of effects against no effect, averaged over sizes.
+
+        The effects of `conditioning_model` are estimated in addition.
+        """
         log_evidences = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.grams_and_scores(effects, conditioning_model)
@@ -86,8 +91,9 @@ class EvidenceCalculator:
     ) -> list[tuple[CandidateEffectT, float]]:
         """Most probable effect near each given effect, found by a local search, with its averaged log evidence.
 
-        The search moves from an effect to its neighbours (similar effects), until a step increases the log evidence by
-        no more than its rounding error. The log evidence is averaged over the most probable effect and its neighbours.
+        The search moves from an effect to its neighbours (effects with slightly different shape parameters or places),
+        until a step increases the log evidence by no more than its rounding error. The log evidence is averaged over
+        the most probable effect and its neighbours. The effects of `conditioning_model` are estimated in addition.
         """
         best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))
@@ -112,16 +118,16 @@ class EvidenceCalculator:
         return list(zip(best, means.tolist(), strict=True))
 
     def whitened_design(self, effect: CandidateEffect) -> Floats:
-        """Whitened design matrix (m, k) of an effect with k parameters, for all m rows of the residual space."""
+        """Whitened design matrix (m, k) of an effect with k parameters, for all m observation equations."""
         affected_rows = self._affected_rows(effect)
         design_columns = np.zeros((self.space.n_equations, len(effect.parameters)))
         design_columns[affected_rows.row_indices] = self._stacked_designs([effect], affected_rows)[0]
         return design_columns
 
     def _batches_with_same_rows(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[AffectedRows, list[int]]]:
-        """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
+        """Batches of effects that act on the same observation equations, as pairs of these and of effect indices.
 
-        A batch has at most `MAX_TEMPORARY_ENTRIES` entries.
+        A batch has at most `MAX_TEMPORARY_ENTRIES` matrix elements.
         """
         by_rows: dict[int, tuple[AffectedRows, list[int]]] = {}
         for i, effect in enumerate(effects):
@@ -133,7 +139,10 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
-        """Rows of the residual space on which an effect acts: for a law those of its stations and targets, else all."""
+        """Observation equations on which an effect acts: for an empirical law those of its place, otherwise all.
+
+        The place of a law is its stations and targets.
+        """
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
@@ -170,7 +179,11 @@ class EvidenceCalculator:
         return designs, column_edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of m rows per unit of each of the c components of the response named `name`."""
+        """Whitened change (m, c) of m observation equations per unit of each component of a response.
+
+        The response `name` is the quantity that an empirical law changes, such as the vertical index; it has c
+        components.
+        """
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(
                 RESPONSE_AND_DESIGN_BY_NAME[name][1](self.space.sightings)

@@ -48,7 +48,7 @@ from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
 MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
-"""Fraction of the chi-square decrease of a finding that the readings listed in its sentence have together, at least."""
+"""Smallest fraction of the chi-square decrease by a finding that the readings listed in its sentence have together."""
 
 
 @dataclass(frozen=True)
@@ -56,20 +56,24 @@ class SelectedModelFit:
     """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
     selection_state: SelectionState
-    """State of the model selection at its end."""
+    """State of the model selection after its last step: adjustment, noise and search."""
     global_test: GlobalTestResult
     """Result of the global tests of the recording."""
     model: Model
-    """Selected model of effects."""
+    """Set of the selected effects."""
     refit: Refit
-    """Nonlinear adjustment with this model."""
+    """Nonlinear adjustment with the selected effects in its model."""
     has_test_findings: bool = False
-    """True if findings of tests, or of the noise, are reported in addition to the effects in the model."""
+    """True if findings of tests, or on the noise, are reported in addition to the selected effects."""
     held_out_log_odds: float = 0.0
-    """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0."""
+    """Log odds of the selected effects against no effect; negative if held-out readings contradict them, otherwise
+    0."""
 
     def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
-        """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
+        """Ranking of all alternatives to a selected effect, with noise hypotheses and an unmodelled cause.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model = self.selection_state.searcher, self.model
         reduced_model = searcher.model_without(model, effect_index)
         noises = [
@@ -102,17 +106,20 @@ class SelectedModelFit:
 
     @cached_property
     def rankings_of_alternatives(self) -> list[Ranking]:
-        """Ranking of all alternatives to each effect in the model, one per effect."""
+        """Rankings of the alternatives to each selected effect, one ranking per effect."""
         return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def p_same_scope(self) -> list[float]:
-        """Probability, for each effect in the model, that the cause is an effect of any name with the same scope."""
+        """Probabilities, one per selected effect, that the cause is an effect of any name with the same scope.
+
+        The scope is the observables, stations, targets and covariates of the effect.
+        """
         return [self._p_same_scope_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
-        """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
+        """Decrease of the m squared whitened residuals by each selected effect, given the other effects."""
         reduced_models = (
             self.selection_state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses))
         )
@@ -120,7 +127,7 @@ class SelectedModelFit:
 
     @cached_property
     def unreported_effect_keys(self) -> tuple[str, ...]:
-        """Keys (`Hypothesis.key`) of the effects in the model that are too improbable to be reported.
+        """Keys (`Hypothesis.effect_key`) of the selected effects that are too improbable to be reported.
 
         The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
         is certain that there is a cause.
@@ -137,10 +144,10 @@ class SelectedModelFit:
         return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
     def p_real(self, effect_index: int) -> float:
-        """Probability that an effect in the model is real under any name, and not the result of several wrong readings.
+        """Probability that a selected effect is real under any name, and not the result of several wrong readings.
 
-        It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
-        the observable, nor the form of the effect is determined.
+        `effect_index` is its index in the model. The probability is 0 if neither a size nor the decrease of chi-square
+        is significant. It is also 0 if neither place, nor observable, nor form of the effect is determined.
         """
         effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
@@ -156,13 +163,19 @@ class SelectedModelFit:
         return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
     def p_cause_other_than_wrong_readings(self, effect_index: int) -> float:
-        """Probability that an effect in the model has any cause other than several wrong readings."""
+        """Probability that a selected effect has any cause other than several wrong readings.
+
+        `effect_index` is the index of the effect in the model.
+        """
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
             1.0 - self._p_wrong_readings(effect_index)
         )
 
     def _p_wrong_readings(self, effect_index: int) -> float:
-        """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
+        """Probability that several wrong readings, each with a separate error, are the cause of a selected effect.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model = self.selection_state.searcher, self.model
         other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
@@ -173,7 +186,10 @@ class SelectedModelFit:
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
     def finding_of_effect(self, effect_index: int) -> Finding:
-        """Finding that reports an effect in the model, given the other effects in the model."""
+        """Finding that reports a selected effect, given the other selected effects.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model, ranking = (
             self.selection_state.searcher,
             self.model,
@@ -241,9 +257,9 @@ class SelectedModelFit:
         ).with_values(**further_values)
 
     def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
-        """Sentence on the readings that have most of the decrease of chi-square; empty for many readings.
+        """Sentence that lists the few readings with most of the chi-square decrease; empty if these are many.
 
-        `chi2_decreases` (m,) is the decrease in each of the m rows of the residual space.
+        `chi2_decreases` (m,) is the decrease in each of the m observation equations.
         """
         use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
@@ -283,9 +299,10 @@ class SelectedModelFit:
         )
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
-        """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
+        """Scope of an effect: its observables, stations, targets or instrument, and covariates.
 
-        `default_observables` are named if the effect does not restrict its observables.
+        An effect at all set-ups of one of several instruments has the instrument in place of the stations.
+        `default_observables` are the observables of an effect that does not restrict them.
         """
         scope = effect_scope(effect, default_observables)
         for tracker in instrument_places(
@@ -331,9 +348,10 @@ class SelectedModelFit:
     def _estimates_of_effect(
         self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.
+        """Estimates of the sizes and shape parameters of a selected effect.
 
-        `reduced_model` is the model without the effect.
+        Without a clock, times are numbers of pointings. `effect_index` is the index of the effect, `hypothesis` the
+        effect after the refit, and `reduced_model` the model without the effect.
         """
         refitted = [
             ParameterEstimate.from_si(*estimate)
@@ -351,9 +369,9 @@ class SelectedModelFit:
 
 
 def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
-    """Description of a law, such as ``distance correction follows cos(3 azimuth)``.
+    """Description of an empirical law, such as ``distance correction follows cos(3 azimuth)``.
 
-    `regressor_phrase` is the text form of its regressor.
+    `regressor_phrase` is the text of the function of covariates that the law follows, such as ``cos(3 azimuth)``.
     """
     phrase = f"{law.response.name} correction" if law.response.changed_part == "reading" else law.response.name
     suffix = law_suffix(law)

@@ -18,7 +18,7 @@ from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "reference coordinates"
-"""Name for users of the wrong quantity, in a finding on a point whose declared coordinates define the axes."""
+"""Name for users of the wrong quantity in a finding on a point: the declared coordinates that define the axes."""
 
 
 def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
@@ -43,7 +43,10 @@ def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
 
 
 def axes_point_finding(test: ReferenceTest) -> Finding:
-    """Finding that reports a point whose declared coordinates contradict the axes that the other points define."""
+    """Finding that reports a point whose declared coordinates contradict the axes that the other points define.
+
+    `test` is the test of these coordinates.
+    """
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
@@ -129,11 +132,11 @@ EFFECT_NAME_BY_CAUSE = {
     ("height", "position"): "outlier",
 }
 """Name of the catalogue effect as which the cause of a test is reported, by the kind of the cause and the quantity on
-which it acts. Other outliers are reported as `outlier`, and all other causes as `unknown`."""
+which it acts. An outlier with another key is reported as `outlier`, and any other cause as `unknown`."""
 
 
 def cause_test_finding(test: CauseTest) -> Finding:
-    """Finding that reports the cause that a test accepted."""
+    """Finding that reports the selected cause of a test of the adjustment, such as a moved target."""
     name = "outlier" if test.kind == "outlier" else EFFECT_NAME_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     estimates: tuple[ParameterEstimate, ...] = ()

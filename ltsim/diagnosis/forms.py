@@ -1,4 +1,4 @@
-"""Functional forms of a law: curve, formulas, steps and ramps, common to all set-ups or separate for each.
+"""Functional forms of an empirical law: curve, formula, steps and ramps, common to all set-ups or separate for each.
 
 The screening evaluates each law in one form only. The few laws with the largest evidence are evaluated here in all
 forms, without approximation.
@@ -33,14 +33,14 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor of a group of targets that moves and tilts as a rigid body."""
+"""Regressor (function of the coordinates) for a group of targets that moves and tilts as a rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
-"""Difference of log evidence up to which a law at all set-ups counts as equivalent to the same law at one set-up. The
-poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
+"""Difference of log evidence up to which an empirical law at all set-ups counts as equivalent to the law at one set-up.
+The poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
-    """Log evidence in the screening, above which a law is evaluated in all forms.
+    """Log evidence in the screening, above which an empirical law is evaluated in all functional forms.
 
     It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
     evidence.
@@ -56,10 +56,11 @@ def evaluate_forms(
     *,
     with_steps_and_switches: bool,
 ) -> list[Hypothesis]:
-    """Forms of a law: for each name of an effect, the form with the largest evidence among those with this name.
+    """Hypotheses for the functional forms of an empirical law: the best form for each effect name.
 
-    The evidence of a result is the sum over all forms with its name. `log_prior` is the log prior of the law. Steps,
-    ramps and switches are tried only if `with_steps_and_switches`.
+    A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
+    sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
+    `conditioning_model` are estimated in addition. Steps, ramps and switches are tried if `with_steps_and_switches`.
     """
     sightings = calculator.space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -113,14 +114,17 @@ def evaluate_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the form with the largest log evidence."""
+    """Index of the hypothesis in `forms` with the largest log evidence."""
     return index_of_largest(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """Forms of a law as a curve, a formula, a piecewise function or a product, with the log evidence of each."""
+    """Forms of an empirical law as a curve, a formula, a piecewise function or a product, each with its log evidence.
+
+    `log_prior` is the log prior probability of the law. The effects of `conditioning_model` are estimated in addition.
+    """
     forms = law.candidate_forms_by_kind(calculator.space.sightings)
     weight_sum = sum(PRIOR_WEIGHT_BY_FORM[kind] for kind in forms)
     shares = {
@@ -142,7 +146,11 @@ def _functional_forms(
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
-    """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
+    """List of a form of an empirical law, and possibly of the form with a fixed ratio of its components.
+
+    The second form is tried if each component has several coefficients. The effects of `conditioning_model` are
+    estimated in addition.
+    """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.direction:
@@ -165,9 +173,10 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
 def _forms_at_single_set_ups(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """List of a form of a law at all set-ups, and of the same form at single set-ups.
+    """List of a form of an empirical law at all set-ups, and of the same form at single set-ups.
 
-    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up.
+    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up. The effects
+    of `conditioning_model` are estimated in addition.
     """
     law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
@@ -216,9 +225,10 @@ def _forms_at_single_set_ups(
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """List of one form of a law as a sum of steps and ramps, from a forward selection while the evidence increases.
+    """List of one form of an empirical law as a sum of steps and ramps, which are added while the evidence increases.
 
-    The list is empty for a law without a curve, and for a law of a single target.
+    The list is empty for a law without a curve, and for a law of a single target. `log_prior` is the log prior
+    probability of the form. The effects of `conditioning_model` are estimated in addition.
     """
     atoms = law.candidate_steps_and_ramps(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
@@ -254,9 +264,9 @@ def _piecewise_forms(
 
 
 N_CURVE_POINTS = 61
-"""Number of points of a reported curve, except for waves with many cycles."""
+"""Number of points of a reported curve, except for a wave with many cycles."""
 N_POINTS_PER_CYCLE = 16
-"""Number of points of each cycle of a wave in a reported curve."""
+"""Number of points per cycle of a wave in a reported curve."""
 MAX_CURVE_POINTS = 600
 """Largest number of points of a reported curve."""
 
@@ -264,7 +274,7 @@ MAX_CURVE_POINTS = 600
 def response_curve(
     law: EmpiricalLaw, sightings: Sightings, coefficient_mean: Floats, coefficient_covariance: Floats
 ) -> ResponseCurve | None:
-    """Curve of a law over its covariate, at the set-up and in the direction in which its effect is largest.
+    """Curve of an empirical law over its covariate, at the set-up and in the direction with the largest effect.
 
     The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
     the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI].

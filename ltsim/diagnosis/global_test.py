@@ -1,7 +1,7 @@
 """Global test of the agreement of a recording with the ordinary model and the declared noise.
 
-The test statistic is the log of the sum of the evidence, with priors, of all hypotheses of the search (effects of the
-catalogue, laws, and changes of the noise) relative to no effect. Its null distribution is computed from simulated
+The test statistic is the log of the sum of the evidence, with priors, of all hypotheses of the search (catalogue
+effects, empirical laws, and noise hypotheses) relative to no effect. Its null distribution is computed from simulated
 residuals of the same network. The false-alarm rate is therefore valid for any number of hypotheses.
 """
 
@@ -19,12 +19,12 @@ from ltsim.diagnosis.search import Searcher
 
 @dataclass(frozen=True)
 class GlobalTestResult:
-    """Result of the global tests of a recording."""
+    """Result of the global tests of a recording: the search over all hypotheses, and the chi-square test."""
 
     statistic: float
     """Test statistic: log of the sum of the evidence of all hypotheses of the search."""
     chi2_p_value: float
-    """p-value of the chi-square test of the ordinary adjustment; NaN without redundancy."""
+    """One-sided p-value of chi-square in the ordinary adjustment; NaN without redundancy."""
     null_statistics: Floats
     """Test statistics of simulated recordings without any effect, one per recording."""
 
@@ -49,7 +49,7 @@ class GlobalTestResult:
 
 
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
-    """Result of the joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
+    """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses."""
     space = searcher.space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise_hypotheses.log_evidence_by_family(

@@ -38,15 +38,16 @@ from ltsim.solve.design import scale_to_unit_diagonal
 CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
+"""Name for users of the reference of an instrument constant, by whether the set-up declares it corrected."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of all instruments of a recording, with their constants and determined combinations of these."""
+    """Entries of all instruments of a recording, with instrument constants and their determined combinations."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
 def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
+    """Entry of one instrument of a recording, with its constants and their determined combinations."""
     parameters = adjustment.construction.parameters
     constants = adjustment.state.instrument_parameters[instrument_index]
     covariance = adjustment.instrument_covariance_of(instrument_index)
@@ -69,28 +70,27 @@ class ConstantContradiction:
     """Contradiction between an instrument constant, of one or more instruments, and its reference."""
 
     instruments: tuple[str, ...]
-    """Names of the instruments with this constant."""
+    """Names of the instruments whose constant contradicts its reference."""
     parameter: Parameter
-    """Constant that contradicts its reference."""
+    """Instrument constant that contradicts its reference."""
     difference_from_reference: float
-    """Difference [SI] of the constant from its reference: from the other instruments, from zero for a corrected
-    instrument, or from earlier calibrations."""
+    """Difference [SI] of the constant from that of the other instruments, zero (if corrected) or earlier
+    calibrations."""
     sigma: float
     """Standard deviation [SI] of the difference."""
     log_evidence: float
     """Log marginal likelihood ratio of the change, with its prior odds, given the other contradictions."""
     p_value: float
-    """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
+    """Two-sided p-value of the difference, corrected for the number of instrument constants that are compared."""
     reference_text: str
     """Name of the reference for users, such as `the other instruments`."""
     evidence_share_by_constant: Mapping[Parameter, float]
-    """Fractions of the evidence for this constant, and for constants of the same instruments that may have changed
-    instead."""
+    """Fractions of the evidence for this constant and others of the same instruments that may have changed instead."""
 
 
 @dataclass(frozen=True)
 class ContradictingConstants:
-    """Constants of a recording's instruments that contradict their reference."""
+    """Contradictions between the instrument constants of a recording and their references."""
 
     contradictions: tuple[ConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
@@ -103,16 +103,16 @@ class ContradictingConstants:
 
 @dataclass(frozen=True)
 class ConstantChange:
-    """Possible change of a constant of one instrument, or of several instruments by the same amount."""
+    """Possible change of an instrument constant of one instrument, or of several instruments by the same amount."""
 
     instrument_indices: tuple[int, ...]
     """Indices of the instruments whose constant may have changed."""
     constant_index: int
-    """Index of the constant among the p constants of an instrument."""
+    """Index of the changed constant among the p constants of an instrument."""
     reference_text: str
-    """Name for users of the reference with which the constant is compared."""
+    """Name for users of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
-    """Possible variances (s values) in addition to the expected variance, divided by the squared specification."""
+    """Possible variances (s values) in addition to the expected variance, in units of the squared specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms of the prior weights of the s values of `added_variance_grid`."""
 
@@ -132,9 +132,9 @@ class ExpectedConstants:
 def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
     """Instrument constants that differ from those of other instruments, or from zero for a corrected instrument.
 
-    If two instruments differ, the readings do not show which instrument is in error. An error of the constant that is
-    farther from zero is then the more probable. An offset common to all corrected instruments is one change, possibly
-    of their reference. A contradiction has a log evidence of more than `MIN_EFFECT_LOG_EVIDENCE`.
+    If two instruments differ, the readings do not show which one is in error. An error of the constant that is farther
+    from zero is then the more probable. An offset common to all corrected instruments is one change, possibly of their
+    reference. A contradiction has a log evidence of more than `MIN_EFFECT_LOG_EVIDENCE`.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -163,12 +163,12 @@ def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
 def constants_contradicting_expectation(
     adjustment: Adjustment, expectation: ExpectedConstants
 ) -> ContradictingConstants:
-    """Instrument constants that differ from their expectation, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
+    """Instrument constants that differ from `expectation`, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
 
     The evidence of each is given the other selected constants. The constants are selected by forward selection with
-    exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO`. The readings
-    without the prior of the adjustment give the normal equations N x = b of the constants x. With the expectation
-    x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
+    exchange, in which a selected constant has a prior variance of `CHANGED_INSTRUMENT_CONSTANT_PRIOR_VARIANCE_RATIO`.
+    The readings alone give the normal equations N x = b of the constants x. With the expectation x ~ N(m, V), the
+    information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -294,21 +294,21 @@ def _log_evidence_of_change(
 
 
 TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the true variance of a constant between calibrations, divided by the sample variance of a few
-calibrations."""
+"""Grid of the true variance of an instrument constant between calibrations, divided by that of a few calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
-"""Degrees of freedom that the sample variances of all constants add to that of one constant (Smyth 2004). They
-correspond to standard deviations that mostly agree within a factor of two."""
+"""Degrees of freedom that the sample variances of all instrument constants add to that of one (Smyth 2004). They are
+those of standard deviations that mostly agree within a factor of two."""
 
 
 @dataclass(frozen=True)
 class HistoryExpectation:
-    """Expected constants of a recording's instruments, from earlier calibrations."""
+    """Expected instrument constants of a recording, from earlier calibrations."""
 
     earlier_calibration_prior: EarlierCalibrationPrior
     """Earlier calibrations of the same instruments."""
     expected_constants: ParameterPrior
-    """Mean and covariance of the constants [SI]; the covariance includes their scatter between calibrations."""
+    """Mean and covariance of the instrument constants [SI]; the covariance includes their scatter between
+    calibrations."""
     manufacturer_specification: Floats
     """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of computations."""
 
@@ -316,7 +316,7 @@ class HistoryExpectation:
     def from_calibrations(
         cls, calibrations: EarlierCalibrationPrior, recording: Recording, construction: GeometricErrorModel
     ) -> HistoryExpectation:
-        """Expected constants of the instruments of a recording, from earlier calibrations.
+        """Expected instrument constants of a recording, from earlier calibrations.
 
         Raises RecordError for calibrations of other instruments or with another geometric error model.
         """
@@ -332,7 +332,7 @@ class HistoryExpectation:
         )
 
     def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
-        """Instrument constants that changed after the earlier calibrations, with log evidences above the limit."""
+        """Instrument constants that changed after the earlier calibrations, with sufficient log evidence."""
         parameters, unit = adjustment.construction.parameters, self.manufacturer_specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibration_prior.parameters]
         names = [parameters[k].name for k in parameter_indices]
@@ -360,11 +360,11 @@ class HistoryExpectation:
     ) -> tuple[Floats, Floats]:
         """Possible variances (k, s) of k constants in addition to the expected ones, and their s log weights (k, s).
 
-        The sample variance of a few calibrations is uncertain. It has a scaled chi-square distribution, with one degree
-        of freedom less than the number of calibrations. The sample variances of the other constants add
-        `SAMPLE_VARIANCE_PRIOR_DOF` degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No
-        standard deviation exceeds the specification of the manufacturer. `expected_covariance` (k, k) is the expected
-        covariance, `specification` (k,) [SI] the specification, and `constant_names` are the names of the constants.
+        The sample variance of a few calibrations has a scaled chi-square distribution, with one degree of freedom less
+        than the number of calibrations. The sample variances of the other constants add `SAMPLE_VARIANCE_PRIOR_DOF`
+        degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No standard deviation exceeds the
+        specification of the manufacturer. `expected_covariance` (k, k) is the expected covariance, `specification` (k,)
+        [SI] the specification, and `constant_names` are the names of the constants.
         """
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
@@ -386,12 +386,12 @@ class HistoryExpectation:
         return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
     def _sigmas_between_calibrations(self, constant_names: Sequence[str]) -> Floats:
-        """Standard deviations (k,) [SI] of k constants between the earlier calibrations."""
+        """Standard deviations (k,) [SI] of k instrument constants between the earlier calibrations."""
         indices = [self.earlier_calibration_prior.parameters.index(name) for name in constant_names]
         return self.earlier_calibration_prior.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Name for users of the earlier calibrations with which a constant is compared."""
+        """Name for users of the earlier calibrations with which an instrument constant is compared."""
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return "its calibration"

@@ -1,11 +1,11 @@
 """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places, scored together.
 
-A place is the stations, targets or instruments at which a law acts. The score of a response with a regressor at a place
-is the sum over the pointings of the place of (derivative of the response) x (column of the regressor) x (residual).
+A place is the stations, targets or instruments where a law acts. The score of a response with a regressor at a place is
+the sum over the pointings of the place of (derivative of the response) x (column of the regressor) x (residual).
 Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for all laws.
 
 Sizes of arrays below: n pointings, P places, C responses with c components each, D regressors with k columns each, of
-which d are processed at a time, and v vectors of the null ensemble.
+which d are processed at a time, and v vectors of the null ensemble (residuals and simulated residuals).
 """
 
 from __future__ import annotations
@@ -30,45 +30,44 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of entries (64 MB) of regressor columns that stay in memory. The limit applies to the columns that
-several batches share during a screening, and to the columns of all batches between screenings. Computing them again
-takes a sixth of the time of a screening.
-"""
+"""Largest number of elements (64 MB) of design columns of regressors that stay in memory. The limit applies to the
+columns that several batches share during a screening, and to those of all batches between screenings. To compute them
+again takes a sixth of the time of a screening."""
 
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """Law of a screening, with an approximate log evidence."""
+    """Empirical law as the result of a screening: response, regressor and place, with an approximate log evidence."""
 
     response: Response
-    """Quantity that the law changes."""
+    """Quantity that the empirical law changes, such as the vertical index."""
     regressor: Regressor
-    """Function of covariates on which the response depends."""
+    """Function of covariates that the change of the quantity follows, such as a curve over time."""
     place: LawPlace
-    """Stations, targets or instruments at which the law acts."""
+    """Stations, targets or instruments where the empirical law acts."""
     log_evidence: float
-    """Approximate log evidence, including the log prior."""
+    """Approximate log evidence of the empirical law, including its log prior probability."""
     log_prior: float
-    """Log prior of the law at this place."""
+    """Log prior probability of the empirical law at these stations, targets or instruments."""
 
 
 @dataclass(frozen=True)
 class PointingPartition:
-    """Partition of the pointings into cells of pointings that belong to the same places.
+    """Partition of the pointings into cells of pointings that belong to the same places (stations or targets of laws).
 
     A sum over the pointings of a place is a sum over the cells of the place.
     """
 
     pointing_order: Ints
-    """Indices (n,) of the n pointings, cell after cell."""
+    """Indices (n,) of the n pointings, sorted by cell (pointings of the same places)."""
     cell_edges: Ints
     """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
     is_cell_in_place: sp.csr_array
-    """Indicators (P, cells) of the cells that belong to each of P places."""
+    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places of laws."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
-        """Partition of `n_pointings` pointings by the places to which they belong."""
+        """Partition of `n_pointings` pointings by the stations, targets or instruments (places) of laws."""
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
@@ -78,7 +77,7 @@ class PointingPartition:
         return cls(pointing_order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def pointing_batches(self, n_entries_per_pointing: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Batches of pointings for temporary arrays with `n_entries_per_pointing` entries per pointing.
+        """Batches of pointings for temporary arrays with `n_entries_per_pointing` elements per pointing.
 
         Each batch is a tuple: its slice of `pointing_order`, the indices of its pointings, and for each of its cells
         the index of the cell and its slice in the batch.
@@ -95,7 +94,7 @@ class PointingPartition:
 
 
 class RegressorColumns:
-    """Design-matrix columns of regressors with k columns each at all pointings, computed on first use.
+    """Design columns of regressors (functions of covariates) at all pointings, k columns each, computed on first use.
 
     Several batches share them. They stay in memory until they are released, or always if `is_cached`.
     """
@@ -114,7 +113,7 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """The k columns (n, d k) of each of d regressors in a range, for n pointings in the order of the cells."""
+        """Columns (n, d k) of the d regressors in a range, k columns each, for n pointings sorted by cell."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
@@ -128,6 +127,7 @@ class RegressorColumns:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Floats32:
+        """Columns (n, d k) of d regressors with k columns each, for n pointings in the order of the cells."""
         n_columns = regressors[0].n_columns
         columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
@@ -144,25 +144,29 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """The C responses, with c components each."""
+    """Quantities (C responses with c components each) that the laws change."""
     regressors: tuple[Regressor, ...]
-    """The D regressors, with k columns each."""
+    """Functions of covariates (D regressors with k columns each) that the laws follow."""
     places: tuple[LawPlace, ...]
-    """The P places: stations, targets or instruments at which a law acts."""
+    """Stations, targets or instruments where the laws act, P places."""
     partition: PointingPartition
-    """Partition of the pointings by these places."""
+    """Partition of the pointings by the places of the laws (stations, targets or instruments)."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
-    C responses."""
+    C responses (changed quantities)."""
     regressor_columns: RegressorColumns
-    """Columns of the regressors, which batches with the same regressors and cells share."""
+    """Design columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
-    """Log prior (P,) of a single law (response, regressor and length scale) at each of P places."""
+    """Log prior probability (P,) of a single law (response, regressor and length scale) at each of P places."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
+    """Eigen decompositions of scaled Gram matrices, by the first index of their range of regressors."""
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior sigmas (D, c k) of D regressors for k columns and c components, one array per length scale."""
+        """Prior standard deviations (D, c k) of the coefficients of D regressors, one array per length scale.
+
+        Each regressor has k columns, each response c components.
+        """
         n_components = self.whitened_response_designs.shape[3]
         return [
             np.tile(np.stack(sets), n_components)
@@ -170,7 +174,7 @@ class LawBatch:
         ]
 
     def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and its null values.
+        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and null values.
 
         The null values (trials,) are the same log for each simulated recording (trial) of the null ensemble.
         """
@@ -198,9 +202,9 @@ class LawBatch:
         """Log evidence (P, C, d), with priors, of laws at P places with C responses and d regressors, and null values.
 
         The regressors are those of a range. The null values (trials,) are logs of the summed evidence of these laws for
-        each simulated recording (trial). The Gram matrix of a law is not reduced by the effects in the model, so that
-        it is too large for a law that is correlated with them. The laws with the largest evidence are evaluated again
-        without this approximation.
+        each simulated recording (trial). The Gram matrix of a law is not reduced by the effects in the model. It is
+        therefore too large for a law that is correlated with them. The laws with the largest evidence are evaluated
+        again without this approximation.
         """
         columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -295,7 +299,7 @@ class LawBatch:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Result of `LawBatch.best_laws_and_log_totals` for each batch, in order; shared columns are computed once."""
+    """Results of `LawBatch.best_laws_and_log_totals` for all batches, in order; shared columns are computed once."""
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):
         by_columns.setdefault(id(batch.regressor_columns), []).append(i)

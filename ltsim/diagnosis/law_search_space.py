@@ -2,7 +2,7 @@
 
 The response is the quantity that the law changes, such as the vertical index. The regressor is a function of
 covariates, such as a curve over time, on which the response depends. The place is the stations, targets or instruments
-at which the law acts.
+where the law acts.
 
 The prior odds of a law are the product of the odds of its place, its response and its regressor. The odds of a kind of
 place are divided equally among all places of this kind in the recording, and likewise for responses and regressors. The
@@ -43,30 +43,29 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_PLACES = 400
-"""Number of set-ups, or of targets, up to which laws that act at a single set-up, or a single target, are tried; a
-limit of the computing time."""
+"""Largest number of set-ups (or targets) with which empirical laws at single set-ups (or targets) are tried. The limit
+keeps the computing time short."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
-"""Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
-group, and more targets take too much computing time."""
+"""Numbers of targets in a network with which empirical laws at a group of targets are tried. Fewer targets hardly form
+a group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT` basis
 functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_MODES_IN_PRODUCT`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
-adjustment absorbs about half of the information of the pointings.
-"""
+"""Smallest number of pointings per coefficient, at the stations and targets of an empirical law, for which the law is
+tried. The adjustment absorbs about half of the information of the pointings."""
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
-"""Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
+"""Kinds of regressors (functions of covariates) that are tried for an empirical law of one instrument or one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
-"""Kinds of regressors that depend on a region of the hall."""
+"""Kinds of regressors (functions of covariates) that depend on a region of the hall."""
 CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
     "room": ("target",)
 }
-"""Changed parts of responses with which a kind of regressor is combined; other regressors are combined with all. The
-omitted combinations would be many, and hardly physical.
-"""
+"""Kinds of changed quantities (`Response.changed_part`) that are combined with a kind of regressor; any other kind of
+regressor is combined with all. The omitted combinations would be many, and hardly physical."""
 WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
+"""Covariates of the waves that are tried for changed quantities that are no readings: times, and accumulated rotations
+of the axes."""
 MULTI_OBSERVABLE_REGRESSOR_KINDS = (
     "constant",
     "sign",
@@ -79,18 +78,19 @@ MULTI_OBSERVABLE_REGRESSOR_KINDS = (
     "passage",
     "lever",
 )
-"""Kinds of regressors for laws that change several observables together; other kinds have too many coefficients."""
+"""Kinds of regressors (functions of covariates) for empirical laws that change several observables together. Other
+kinds have too many coefficients."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
-"""Regressors by kind, such as `curve` or `wave`."""
+"""Regressors (functions of covariates) by kind, such as `curve` or `wave`."""
 
 
 def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) -> list[LawBatch]:
-    """Batches of laws that a search tries in a recording.
+    """Batches of the empirical laws that a search tries in a recording.
 
     Their prior probabilities add up to the prior probability of a law outside the catalogue. Changes of instrument
     constants that are the same for all readings are included if `tests_ordinary_constants`. They are left out if the
-    constants are compared with earlier calibrations. A constant displacement of a target is not included, because the
-    coordinates of targets are estimated.
+    instrument constants are compared with earlier calibrations. A constant displacement of a target is not included,
+    because the coordinates of targets are estimated.
     """
     builder = _LawBatchBuilder(space)
     for place, places, regressors in _places_and_regressors_by_kind(space):
@@ -102,9 +102,9 @@ def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) 
 
 
 def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
-    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind for these places.
+    """Kinds of places of empirical laws: tuples of name, places, and regressors by kind for these places.
 
-    A place is the stations, targets or instruments at which a law acts.
+    A place is the stations, targets or instruments where a law acts; a regressor is a function of covariates.
     """
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
@@ -163,7 +163,7 @@ def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class _LawBatchBuilder:
-    """Builder of batches of laws; laws that differ only in the place where they act are in the same batch."""
+    """Builder of batches of empirical laws; laws that differ only in the place where they act are in the same batch."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
@@ -188,8 +188,8 @@ class _LawBatchBuilder:
     ) -> None:
         """Addition of the laws at places of one kind, with all admissible responses and regressors.
 
-        `place_kind` is a key of `PLACE_PRIOR`. Responses of the kinds `excluded_kinds` are not combined with the
-        constant regressor.
+        `place_kind` is a key of `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses (changed quantities) of the kinds
+        `excluded_kinds` are not combined with the constant regressor.
         """
         kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
         for (kind, n_components), kind_responses in self._responses.items():
@@ -237,8 +237,8 @@ class _LawBatchBuilder:
     ) -> None:
         """Registration of laws with the prior `weight` per response, divided equally among regressors and places.
 
-        `n_components` is the number of components of the responses. Places with too few pointings for the coefficients
-        of a regressor are left out.
+        `n_components` is the number of components of the responses (changed quantities). Places with too few pointings
+        for the coefficients of a regressor are left out.
         """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for regressor in regressors if responses else ():
@@ -300,10 +300,10 @@ class _LawBatchBuilder:
 
 
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
-    """True if a law may change the `response` with a regressor of this kind; always for regressors without a region.
+    """True if an empirical law with a regressor of this kind may change the quantity `response`.
 
-    A range changes in proportion to the length of the path in the region (`passage`), and an angle in proportion to
-    this length weighted by its lever (`lever`).
+    It is always true for regressors without a region. A range changes in proportion to the length of the path in the
+    region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`).
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
@@ -318,10 +318,10 @@ def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
 
 
 def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
-    """Copy of a response whose plausible size is raised to the noise of the readings if it is smaller.
+    """Copy of a response whose plausible size is at least as large as the noise of the readings.
 
-    `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each of the c
-    components.
+    The response is the quantity that an empirical law changes. `whitened_changes` (n, 3, c) are the whitened changes of
+    the three readings of n pointings per unit of each of its c components.
     """
     change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

@@ -1,4 +1,4 @@
-"""Selection of the model of a recording: effects, changes of the noise, and changed constants of instruments."""
+"""Selection of the model of a recording: effects, noise hypotheses, and changed instrument constants."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_CHANGES = 3
-"""Largest number of changes of the noise that are added to a model; a selection of effects follows each of them."""
+"""Largest number of noise hypotheses that are added to a model; a selection of effects follows each of them."""
 ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
@@ -23,12 +23,13 @@ ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
 def select_noise_and_effects(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction
 ) -> tuple[SelectionState, Model]:
-    """State with the selected changes of the noise and of instrument constants, and the selected model of effects.
+    """State after the selection of noise hypotheses and changed instrument constants, and the selected effects.
 
     The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
     by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters, because a law that is selected with a wrong noise level
-    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated with the
-    effects in the model that are among the simple causes of the network.
+    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together with
+    the effects among the simple causes of the network. `compare_with_reference` returns the instrument constants that
+    contradict their reference in an adjustment.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
@@ -61,11 +62,12 @@ def _select_noise_changes(
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> SelectionState:
-    """State after a forward selection of changes of the noise.
+    """State after a forward selection of noise hypotheses.
 
-    The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
-    because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
-    alternatives to it. Each further change must increase the log evidence by `MIN_EFFECT_LOG_EVIDENCE`.
+    The noise is estimated with the effects of `start_hypotheses` in the model. The first noise hypothesis is always
+    selected, because the global test has failed. Its alternatives include the effects, with the log evidence
+    `log_evidence_of_effects`. Each further noise hypothesis must increase the log evidence by
+    `MIN_EFFECT_LOG_EVIDENCE`.
     """
     effects = [hypothesis.effect for hypothesis in start_hypotheses]
     for further in range(MAX_NOISE_CHANGES):
@@ -80,9 +82,9 @@ def _select_noise_changes(
 def _select_effects_given_noise(
     state: SelectionState, start_hypotheses: Sequence[Hypothesis]
 ) -> tuple[SelectionState, Model]:
-    """State and model of effects in addition to the selected changes of the noise.
+    """State after a selection of effects in addition to the selected noise hypotheses, and the model of these effects.
 
-    If the changes of the noise suffice, the state is unchanged and the model empty. The search begins with the
+    If the noise hypotheses suffice, the state is unchanged and the model has no effects. The search begins with the
     hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
     noise is therefore estimated again with each of the hypotheses with the largest evidence. The most probable of them,
     with its noise, is compared with the noise alone by their evidence.
@@ -102,10 +104,10 @@ def _select_effects_given_noise(
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[SelectionState, Model]:
-    """State and model after alternating selections of changes of the noise and of effects, while evidence increases.
+    """State and model after alternating selections of noise hypotheses and of effects, while the evidence increases.
 
-    Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
-    of all effects.
+    Each noise hypothesis is tried in addition to `model`, in place of one of the effects in the model, and in place of
+    all effects.
     """
     for _ in range(MAX_NOISE_CHANGES):
         searcher, hypotheses = state.searcher, model.hypotheses
@@ -135,10 +137,10 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
 def _most_probable_noise_change(
     ranked_noise_changes: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
 ) -> NoiseHypothesis:
-    """Most probable change of the noise, with its probability among all hypotheses.
+    """Most probable noise hypothesis, with its probability among all hypotheses.
 
-    `ranked_noise_changes` are pairs of a log evidence and a change of the noise. `log_evidence_of_effects` is the log
-    of the summed evidence of all hypotheses that are no changes of the noise.
+    `ranked_noise_hypotheses` are pairs of a log evidence and a noise hypothesis. `log_evidence_of_effects` is the log
+    of the summed evidence of all other hypotheses.
     """
     log_evidences = np.array([value for value, _ in ranked_noise_changes])
     weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))

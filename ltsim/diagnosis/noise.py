@@ -8,8 +8,8 @@ same form is used for the recording and for simulated recordings. The hypotheses
 without approximation, if the network is small enough for a basis. The evidence is an average over a grid of sizes,
 which is finer for these hypotheses. It can therefore be compared with the evidence of effects that shift readings.
 
-Sizes of arrays below: m rows of the residual space, g means of repeated readings, h hypotheses, and trials (the
-recording, or simulated recordings).
+Sizes of arrays below: m observation equations, g means of repeated readings, h hypotheses, and trials (the recording,
+or simulated recordings).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ N_FINE_GRID_SIZES = 48
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Changes of the noise with one size for all affected readings, each with the sizes of a grid.
+    """Noise hypotheses with one size (factor or added variance) for all affected readings, one for each size of a grid.
 
     `instruments` are the names of the instruments, each of which may have separate noise if there are several.
     """
@@ -73,26 +73,28 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseHypothesisSet:
-    """Noise hypotheses on a residual space, with their evidence for the recording and for simulated recordings.
+    """Noise hypotheses in the residual space of an adjustment, with their evidence.
 
-    In the diagonal form the evidence depends linearly on squared residuals and on squared means of repeated readings.
+    The evidence is computed for the recording and for simulated recordings. In the diagonal form (independent readings)
+    it is a linear function of squared residuals and of squared means of repeated readings.
     """
 
     hypotheses: list[NoiseHypothesis]
-    """The h hypotheses with one size for all affected readings."""
+    """Hypotheses (h of them) with one size for all affected readings."""
     families: tuple[str, ...]
-    """Names of the kinds of noise change (families) of these hypotheses."""
+    """Names of the families (kinds of changed noise level) of these hypotheses."""
     family_indices: Ints
-    """Index (h,) of the family of each of h hypotheses."""
+    """Index (h,) of the family (kind of changed noise level) of each of h hypotheses."""
     variance_factors: VarianceFactors
-    """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
+    """Variance factors of m observation equations, and of g means of repeated readings for errors that these share."""
     averaging_matrix: sp.csr_array
-    """Matrix (g, m) that maps the m rows to g means of repeated readings, first in each face and then in both faces."""
+    """Matrix (g, m) that maps m observations to g means of repeated readings, first in each face and then in both
+    faces."""
     parameter_basis: Floats | None
-    """Orthonormal basis (m, u) of the changes of the m rows by u estimated parameters; None in a network that is too
-    large for a basis."""
+    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None in a network that is
+    too large for a basis."""
     group_noise_changes: tuple[GroupNoiseChange, ...]
-    """Hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
+    """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
     space: ResidualSpace
     """Residual space of the adjustment."""
@@ -101,7 +103,10 @@ class NoiseHypothesisSet:
     def from_space(
         cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseHypothesisSet:
-        """Noise hypotheses on a residual space; the noise level may be below the declared one if `allows_quieter`."""
+        """Noise hypotheses in the residual space of an adjustment, from hypotheses with one size for all readings.
+
+        The noise level of the recording may be below the declared one if `allows_quieter`.
+        """
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
         pattern_counts = space.n_equations - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
@@ -124,7 +129,7 @@ class NoiseHypothesisSet:
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), in the diagonal form.
+        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), with independent readings.
 
         `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
         numbers.
@@ -134,10 +139,10 @@ class NoiseHypothesisSet:
         return self.variance_factors.log_likelihood_ratios(squares, share)
 
     def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of all families of noise changes, in the diagonal form.
+        """Log evidence (families, trials), with priors, of all kinds of noise hypotheses, with independent readings.
 
-        The first rows of the result belong to `families`, the others to `group_noise_changes`. `residual` (m, trials)
-        are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
+        The first rows of the result belong to `family_names`, the others to `group_noise_hypotheses`. `residual` (m,
+        trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(
@@ -145,7 +150,10 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_of_all_families(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors for a batch of recordings (trials), m residuals (m, trials)."""
+        """Log evidence (families, trials) with priors of all kinds of noise hypotheses for a batch of recordings.
+
+        `residual` (m, trials) are m whitened residuals of each recording (trial).
+        """
         patterns = self._log_evidence_from_ratios(self.log_likelihood_ratios(residual, redundancy))
         return np.vstack(
             [
@@ -155,16 +163,17 @@ class NoiseHypothesisSet:
         )
 
     def _group_noise_log_evidence(self, change: GroupNoiseChange, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,), with prior, of noise with a size for each group, for a batch of recordings."""
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a family of noise changes: an effect of the catalogue, or an `unknown` one outside it."""
+        """Log prior probability of a kind of noise hypothesis: a catalogue effect, or one outside the catalogue."""
         return log_prior_of_noise_family(
             family, (*self.families, *(change.name for change in self.group_noise_changes))
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of `families` from log likelihood ratios (h, trials).
+        """Log evidence (families, trials), with priors, of `family_names` from log likelihood ratios (h, trials).
 
         The ratios are those of h hypotheses for each recording (trial).
         """
@@ -174,8 +183,8 @@ class NoiseHypothesisSet:
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
         """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
 
-        `residual` (m,) are the m whitened residuals given a model, and the e columns of `model_basis` (m, e) are the
-        basis of the changes by the model.
+        `residual` (m,) are the m whitened residuals given the effects of a model, and the e columns of `model_basis`
+        (m, e) are the basis of the changes by these effects.
         """
         assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
@@ -191,9 +200,9 @@ class NoiseHypothesisSet:
     def _excess_over_diagonal_form(
         self, hypothesis_index: int, diagonal_log_ratio: float, residual: Floats, model_basis: Floats
     ) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus its value in the diagonal form, `diagonal_log_ratio`.
+        """Log restricted likelihood ratio of a hypothesis minus its approximation `diagonal_log_ratio`.
 
-        In a large network the result is 0.
+        The approximation treats the readings as independent. In a large network the result is 0.
         """
         return (
             0.0
@@ -209,9 +218,9 @@ class NoiseHypothesisSet:
         residual: Floats,
         redundancy: Floats,
     ) -> float:
-        """Log evidence of a family of noise changes, with a fine grid of sizes of its most probable effect.
+        """Log evidence of a kind of noise hypothesis, with a fine grid of sizes of its most probable effect.
 
-        `hypothesis_indices` are the indices of the family's hypotheses, `best_index` is the one with the largest
+        `hypothesis_indices` are the indices of the hypotheses of this kind, `best_index` is the one with the largest
         likelihood, and `log_likelihood_ratios` are their log likelihood ratios. For an effect with several parameters,
         the evidence is averaged over each parameter alone and all parameters together.
         """
@@ -235,10 +244,10 @@ class NoiseHypothesisSet:
     def ranked_noise_changes(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence (with prior) and most probable hypothesis of each family, by decreasing evidence.
+        """Pairs of log evidence (with prior) and most probable hypothesis of each kind, by decreasing evidence.
 
         The m residuals `residual` (m,), redundancy numbers `redundancy` (m,) and the basis `model_basis` (m, e) of e
-        dimensions are given a model.
+        dimensions are given the effects of a model.
         """
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)
         evidence = self._log_evidence_from_ratios(ratio)[:, 0]
@@ -296,10 +305,10 @@ class NoiseHypothesisSet:
     def ranked_group_noise(
         self, residual: Floats, redundancy: Floats, rival_log_evidence: float
     ) -> list[tuple[GroupNoiseChange, float]]:
-        """Pairs of a change of the noise, of groups or in intervals of time, and its log evidence.
+        """Pairs of a noise hypothesis for groups of readings or intervals of time, and its log evidence.
 
-        Changes limited to some targets, a station or a region are included if their log evidence is not far below
-        `rival_log_evidence`.
+        Hypotheses limited to some targets, a station or a region are included if their log evidence is not far below
+        `rival_log_evidence`, the largest log evidence of another hypothesis.
         """
         ranked_hypotheses = [
             (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
@@ -322,13 +331,14 @@ class NoiseHypothesisSet:
     def _group_noise_log_evidence_of_residuals(
         self, change: GroupNoiseChange, residual: Floats, redundancy: Floats
     ) -> float:
+        """Log evidence, with prior, of noise with a size for each group, for the residuals (m,) of a recording."""
         return float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
 
 
 def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], averaging_matrices: Sequence[sp.csr_array]
 ) -> Iterator[VariancePatternWithSizes]:
-    """Iterator over patterns of the hypotheses: added variance of the readings per unit of the size, and the sizes.
+    """Iterator over patterns of noise: added variance of the readings per unit of the size, and the sizes to be tried.
 
     For errors that repeated readings share, the pattern contains the means of these readings (`averaging_matrices`). A
     variance function has one pattern, because it is linear in its size. A catalogue effect has one pattern for each

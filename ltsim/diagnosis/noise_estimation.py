@@ -1,6 +1,6 @@
-"""Estimation of the sizes of a change of the noise, by restricted likelihood.
+"""Estimation of the sizes of a noise hypothesis by restricted likelihood.
 
-Sizes of arrays below: m rows of the residual space, n pointings, k variance parameters.
+Sizes of arrays below: m observation equations, n pointings, k variance parameters.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.centring import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
-"""Number of points of each grid on which the posterior distribution of a size is summed."""
+"""Number of points of each grid on which the posterior distribution of a variance parameter is summed."""
 N_VARIANCE_GRID_ZOOMS = 9
-"""Number of successively narrower grids on which the posterior distribution of a size is summed. The sum over a normal
-density is accurate for spacings of up to 1.5 standard deviations."""
+"""Number of successively narrower grids on which the posterior distribution of a variance parameter is summed. The sum
+over a normal density is accurate for spacings of up to 1.5 standard deviations."""
 
 
 def reml_gain_function(
@@ -50,6 +50,7 @@ def reml_gain_function(
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def variance_factors_at(values: Floats) -> Floats:
+        """Variance factors (m,) of m observation equations at the values (k,) of the variance parameters."""
         factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
         return factor if means is None else 1.0 + added_variance_of_means(means, factor - 1.0)
 
@@ -58,6 +59,7 @@ def reml_gain_function(
     )
 
     def reml_gain_at(values: Floats) -> Floats:
+        """Gain (k,) of restricted log likelihood by each of k variance parameters at the values (k,)."""
         factor = variance_factors_at(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, log_restricted_likelihood_ratio(squares, share, factor), -np.inf)

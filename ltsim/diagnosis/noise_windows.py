@@ -2,8 +2,8 @@
 
 Each step of the chain is a pointing, or several pointings in a large recording. The two states are quiet and noisy. The
 evidence is the sum over all sequences of states, by the forward recursion. The time windows are the noisy intervals of
-the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m rows of the
-residual space, s sets of observables, f variance factors.
+the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m observation
+equations, s sets of observables, f variance factors.
 """
 
 from __future__ import annotations
@@ -24,19 +24,18 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
 WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
-"""Factors on the variance in the noisy state, over which the evidence is averaged."""
+"""Factors on the variance in noisy time windows, over which the evidence is averaged."""
 NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
-"""Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
+"""Factors on the variance in noisy time windows, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit, 355, to which the log likelihood ratio of a step of the chain is clipped, so that the product of two
-likelihood ratios is a finite floating-point number.
-"""
+"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped, so that the product of two
+likelihood ratios is a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the chain; in a recording with more pointings a step contains several pointings."""
+"""Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
-"""Shapes of the regions of the hall in which noise may be larger for a time."""
+"""Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
 OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
@@ -45,10 +44,10 @@ OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseChange):
-    """Larger noise in time windows; a group of readings is one observable in one step of the chain."""
+    """Larger noise in time windows; a group of readings is one observable in one step of the Markov chain."""
 
     step_edge_times: Floats
-    """Start [s] of each step of the chain, and end of the last step, (steps + 1,)."""
+    """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
     space: ResidualSpace
     """Residual space of the adjustment."""
     n_tried_places: int = 1
@@ -84,7 +83,7 @@ class NoiseWindows(GroupNoiseChange):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise change."""
+        """Name of this kind of noise hypothesis."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -107,7 +106,7 @@ class NoiseWindows(GroupNoiseChange):
         return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
+        """Log evidence (trials,) for each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
 
         It is averaged over sets of observables, variance factors, and expected numbers of time windows.
         """
@@ -156,7 +155,7 @@ class NoiseWindows(GroupNoiseChange):
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Change of the noise with the observables and time windows of the most probable sequence of states.
+        """Effect on the noise with the observables and time windows of the most probable sequence of states.
 
         The sequence is computed by Viterbi's algorithm.
         """
@@ -195,7 +194,7 @@ class NoiseWindows(GroupNoiseChange):
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a change of the noise with given time windows and place, averaged over variance factors."""
+        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
             space.is_used_reading
@@ -208,13 +207,16 @@ class NoiseWindows(GroupNoiseChange):
         return float(log_sum_exp(log_likelihood_ratios) - np.log(len(log_likelihood_ratios)))
 
     def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
-        """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) flag noisy steps."""
+        """Times [s] at which the noise becomes larger and smaller, alternately.
+
+        `states` (steps,) flag the noisy steps of the chain.
+        """
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.step_edge_times[edges].tolist())
 
 
 def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
-    """Index of the chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
+    """Index of the Markov chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
 
     At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
     quiet state in c chains, and `change_probability` is the probability of a change of state from a step to the next.

@@ -1,7 +1,7 @@
-"""Model selection by forward, backward and exchange steps.
+"""Search for the effects of a model by forward, backward and exchange steps.
 
-All effects of the catalogue and all laws are screened given the model. The few with the largest evidence are evaluated
-without approximation: the evidence is integrated over shape constants on a grid around the optimum, and curves of laws
+All catalogue effects and empirical laws are screened given the model. The few with the largest evidence are evaluated
+without approximation: the evidence is integrated over shape parameters on a grid around the optimum, and curves of laws
 are compared with formulas. The hypothesis with the largest evidence is added to the model. Then each effect in the
 model is tested again given the others, and is replaced or removed if the evidence of the model increases. Pairs of
 effects are also exchanged for a single effect.
@@ -54,31 +54,32 @@ MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
 of coefficients: a slope and `N_MODES_DEFAULT` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
-"""Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
+"""Number of catalogue effects, and of empirical laws, that a step evaluates without approximation in a large
+network."""
 MAX_RANKED_LAWS = 400
-"""Largest number of laws in a ranking of hypotheses."""
+"""Largest number of empirical laws in a ranking of hypotheses."""
 MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
-"""Ratio of two standard deviations of a parameter, that of the posterior integrated over shape constants and that of
-the refit (Laplace's approximation), above which the integrated posterior is reported."""
+"""Ratio of the posterior sigma of a parameter, integrated over shape parameters, to the sigma of the refit (Laplace's
+approximation). Above this ratio the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
-    """Result of the screening of all hypotheses given a model."""
+    """Result of the screening of all hypotheses given the effects of a model."""
 
     effect_log_evidence: Floats
-    """Log evidence (h,) of each of h effects of the catalogue, without prior."""
+    """Log evidence (h,) of each of h variants of catalogue effects, without prior."""
     family_log_evidence: Floats
-    """Log evidence (families,) of each catalogue effect, averaged over its places and shapes, with prior."""
+    """Log evidence (families,) of each catalogue effect, averaged over its variants, with prior."""
     laws: list[ScreenedLaw]
-    """Laws with the largest evidence at each place (stations, targets or instruments)."""
+    """Empirical laws with the largest evidence at each place (stations, targets or instruments)."""
     statistic: float
-    """Test statistic: log of the summed evidence of all hypotheses."""
+    """Test statistic of the global test: log of the summed evidence of all hypotheses."""
     null_statistics: Floats
     """Values (trials,) of the test statistic for each simulated recording (trial) of the null ensemble."""
 
 
 class Searcher:
-    """Search for effects of the catalogue and laws in one residual space."""
+    """Search for catalogue effects and empirical laws in the residual space of one adjustment."""
 
     def __init__(
         self,
@@ -91,9 +92,8 @@ class Searcher:
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_designs` are the design matrices of another search on the same readings, which saves their
-        computation. If `tests_ordinary_constants`, changes of the constants of the ordinary calibration are hypotheses
-        too.
+        `catalogue_designs` are the design matrices of another search on the same readings, which saves computing time.
+        With `tests_ordinary_constants` the search also tests changes of the ordinary instrument constants.
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
@@ -123,15 +123,15 @@ class Searcher:
 
     @property
     def _n_exactly_evaluated(self) -> int:
-        """Number of effects of the catalogue, and of laws, that a ranking evaluates without approximation."""
+        """Number of catalogue effects, and of empirical laws, that a ranking evaluates without approximation."""
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without the f rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
+        """Search without f observation equations `rows` (f,), with as few evaluations as in large networks.
 
-        It is equivalent to a search in which a separate error of each of these rows is estimated. The laws with the
+        It is equivalent to a search that also estimates an error of each of these observations. The laws with the
         largest evidence of each kind are not evaluated, because that would take most of the time and hardly change
-        predictions. The screening still uses the Gram matrices of all rows.
+        predictions. The screening still uses the Gram matrices of all observations.
         """
         unit = np.zeros((self.space.n_equations, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -145,14 +145,14 @@ class Searcher:
         return reduced
 
     def ranking(self, conditioning_model: Model) -> Ranking:
-        """Ranking of all hypotheses given a model: all are screened, and the most probable are evaluated exactly."""
+        """Ranking of all hypotheses given a model: all are screened, the most probable are evaluated exactly."""
         key = frozenset(h.key for h in conditioning_model.hypotheses)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(conditioning_model)
         return self._rankings[key]
 
     def _screening(self, conditioning_model: Model) -> ScreeningResult:
-        """Screening of all catalogue effects and laws given a model."""
+        """Screening of all catalogue effects and empirical laws given the effects of a model."""
         probe = (
             self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.basis)
             if conditioning_model.hypotheses
@@ -171,6 +171,7 @@ class Searcher:
         return ScreeningResult(values, families, laws, float(statistic), null)
 
     def _compute_ranking(self, conditioning_model: Model) -> Ranking:
+        """Ranking of all hypotheses given a model, which `ranking` caches."""
         values, families, laws, _, _ = (
             self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
@@ -201,10 +202,10 @@ class Searcher:
         *,
         is_exact: bool,
     ) -> Hypothesis:
-        """Most probable place and shape of a catalogue effect, with its log evidence averaged over places and shapes.
+        """Most probable variant of a catalogue effect, with its log evidence averaged over all variants.
 
-        Unless `is_exact`, they are results of the screening: `effect_log_evidence` (h,) of all h effects, and
-        `family_log_evidence` of this catalogue effect.
+        Variants differ in stations, targets and shape parameters. Unless `is_exact`, the results are those of the
+        screening: `effect_log_evidence` (h,) of all h variants, and `family_log_evidence` of this effect.
         """
         designs = self.catalogue_designs
         indices = np.flatnonzero(designs.family_indices == family_index)
@@ -224,9 +225,8 @@ class Searcher:
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: Model) -> list[Hypothesis]:
         """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all functional forms.
 
-        In small networks the most probable law of each response and each kind of regressor is evaluated in all forms
-        too. The screening underestimates some kinds: a local search for the place of a region can increase the log
-        evidence several times.
+        In small networks the most probable law of each response and kind of regressor is evaluated in all forms too,
+        because the screening underestimates some kinds: a local search for a region can increase the evidence much.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
@@ -255,9 +255,9 @@ class Searcher:
     def estimates(
         self, hypothesis: Hypothesis, reduced_model: Model, refit_estimates: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the parameters and shape constants of a hypothesis.
+        """Estimates of the parameters and shape parameters of a hypothesis.
 
-        They are the estimates of the refit, or means over all values of the shape constants if these means have much
+        They are the estimates of the refit, or means over all values of the shape parameters if these means have much
         larger standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect
@@ -276,7 +276,7 @@ class Searcher:
         return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
     def law_coefficients(self, law: EmpiricalLaw, reduced_model: Model) -> tuple[Floats, Floats]:
-        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the effects of a model."""
+        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given `reduced_model`."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
@@ -292,7 +292,7 @@ class Searcher:
         return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected design matrix (m, k), k columns on m rows, of a hypothesis, and norms (k,) before projection."""
+        """Projected design matrix (m, k) of a hypothesis with k columns, and norms (k,) before the projection."""
         key = hypothesis.key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
@@ -306,9 +306,8 @@ class Searcher:
         """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
         The search begins with the hypotheses `start_hypotheses` in the model. With `requires_effect` the result has at
-        least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
-        again with the most probable hypothesis that has few coefficients. The model with the larger evidence is
-        selected.
+        least one effect. A curve with many coefficients can imitate several effects. If the result has such a curve,
+        the search is repeated from the most probable simple hypothesis, and the model with more evidence is selected.
         """
         begin = self.model_after_exchanges(self.model_with(start_hypotheses))
         best_model = self._forward_selection(begin, requires_effect=requires_effect)
@@ -327,8 +326,7 @@ class Searcher:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
-        end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased the
-        evidence as much as the last effect did.
+        end when it would not exceed it even if all further effects gained as much evidence as the last effect.
         """
         return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)
 

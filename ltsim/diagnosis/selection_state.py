@@ -38,22 +38,22 @@ class SelectionState:
     baseline_adjustment: Adjustment
     """Ordinary adjustment, from which all other adjustments start."""
     is_used_reading: Bools
-    """Flags (n, 3) of the readings that are used, for n pointings."""
+    """Flags (n, 3) of the readings of n pointings that are used."""
     seed: int
     """Seed of the random draws of simulated recordings."""
     false_alarm_rate: float | None
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool
-    """True if changes of the constants of the ordinary calibration are also hypotheses."""
+    """True if changes of the instrument constants of the ordinary calibration are also hypotheses."""
     effects_of_uncorrected_causes: tuple[CandidateEffect, ...]
     """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
     larger than declared."""
     reading_sigmas: Floats
-    """Standard deviations (n, 3) of the readings of n pointings, with the selected changes of the noise."""
+    """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses."""
     space: ResidualSpace
-    """Residual space of the present adjustment."""
+    """Residual space of the adjustment with the present weights."""
     noise_changes: tuple[NoiseHypothesis, ...] = ()
-    """Selected changes of the noise."""
+    """Noise hypotheses that have been selected."""
     earlier_designs: CatalogueDesigns | None = None
     """Design matrices of the most recent search in an earlier state; None before the first search."""
 
@@ -84,8 +84,8 @@ class SelectionState:
     def searcher(self) -> Searcher:
         """Search in the residual space of the present adjustment.
 
-        It uses the design matrices of an earlier search, with other weights, if the rows of the residual space are the
-        same. Only the first search of a recording has a p-value.
+        It uses the design matrices of an earlier search, with other weights, if the observation equations are the same.
+        Only the first search of a recording has a p-value.
         """
         earlier = self.earlier_designs
         is_reusable = earlier is not None and earlier.n_equations == self.space.n_equations
@@ -101,7 +101,7 @@ class SelectionState:
 
     @cached_property
     def noise_hypotheses(self) -> NoiseHypothesisSet:
-        """Hypotheses of changes of the noise in the residual space of the present adjustment."""
+        """Noise hypotheses in the residual space of the present adjustment."""
         return self._noise_hypotheses(self.space)
 
     @property
@@ -111,7 +111,7 @@ class SelectionState:
 
     @property
     def recording(self) -> Recording:
-        """Recording without blunders, whose set-up declares the centring errors among the selected noise changes."""
+        """Recording without blunders, whose set-up declares the centring errors among the selected noise hypotheses."""
         return with_declared_centring(self.baseline_adjustment.recording, self.noise_changes)
 
     def refit(
@@ -119,9 +119,9 @@ class SelectionState:
     ) -> Refit:
         """Nonlinear adjustment with effects in the model and standard deviations `sigma` (n, 3) of n pointings.
 
-        Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior standard
-        deviation of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
-        combinations. The centring errors among `noise_changes`, by default among all selected ones, are in the model.
+        Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
+        of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
+        combinations. Centring errors among `noise_hypotheses` (by default all selected hypotheses) are in the model.
         """
         noise_changes = self.noise_changes if noise_changes is None else noise_changes
         if not (effects or noise_changes):
@@ -138,13 +138,16 @@ class SelectionState:
         )
 
         def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-            """Adjustment with effects in addition to the causes of the baseline."""
+            """Adjustment with `effects` in addition to the simple causes of the ordinary adjustment.
+
+            It starts from the unknowns `start_state`.
+            """
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def with_widened_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
-        """State after an adjustment without the prior of the constants that contradict their reference."""
+        """State after an adjustment without the prior of the instrument constants that contradict their reference."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for contradiction in contradictions:
@@ -163,7 +166,7 @@ class SelectionState:
         return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
     def _with_attributes(self, **attributes: object) -> SelectionState:
-        """Copy of the state with other attributes, and with the design matrices of its search, if there was one."""
+        """Copy of the state with other attributes, and with the design matrices of its search if there is one."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
         designs = self.earlier_designs if searcher is None else searcher.catalogue_designs
         return replace(self, earlier_designs=designs, **attributes)  # type: ignore[arg-type]
@@ -174,7 +177,7 @@ class SelectionState:
         return self._with_attributes(space=ResidualSpace.from_adjustment(adjustment))
 
     def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of a log evidence and the most probable noise change of each kind, given a model.
+        """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
         They are sorted by decreasing evidence.
         """
@@ -185,10 +188,10 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def with_noise_change(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State after the addition of a change of the noise, whose sizes are estimated with `effects` in the model.
+        """State after the addition of a noise hypothesis, whose sizes are estimated with `effects` in the model.
 
-        If an equal change was selected before, its sizes are increased. All changes of the noise are then estimated
-        together.
+        If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
+        estimated together.
         """
         new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.sigma, hypothesis)
         if all(change.effect != new_change.effect for change in self.noise_changes):
@@ -200,26 +203,26 @@ class SelectionState:
         return self._with_noise_changes(noise_changes).with_estimated_noise(effects)
 
     def _with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> SelectionState:
-        """State with other changes of the noise and the standard deviations of readings that follow from them."""
+        """State with other selected noise hypotheses and the standard deviations of readings that follow from them."""
         changed = self._with_attributes(noise_changes=tuple(noise_changes))
         return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
 
     @property
     def log_evidence_of_noise(self) -> float:
-        """Log evidence of the selected changes of the noise without effects, up to a constant of the recording.
+        """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
 
-        It is the restricted log likelihood of the present adjustment, plus for each change its log evidence minus its
-        log likelihood ratio at the time of its selection.
+        It is the restricted log likelihood of the present adjustment, plus for each hypothesis its log evidence minus
+        its log likelihood ratio at the time of its selection.
         """
         return log_restricted_likelihood(self.space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
     def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
-        """Log evidence of hypotheses together with the selected changes of the noise.
+        """Log evidence of effects together with the selected noise hypotheses.
 
-        The changes of the noise are estimated with the hypotheses in the model. The result is comparable with
-        `log_evidence_of_noise`, the log evidence without the hypotheses.
+        The noise is estimated with the effects of `hypotheses` in the model. The result is comparable with
+        `log_evidence_of_noise`, the log evidence without these effects.
         """
         state = self.with_estimated_noise([h.effect for h in hypotheses])
         return state.log_evidence_of_noise + Model.from_space(hypotheses, state.space).penalised_log_evidence
@@ -249,12 +252,11 @@ class SelectionState:
         return state
 
     def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
-        """Selected changes of the noise with new estimates of their sizes, with `effects` in the model.
+        """Selected noise hypotheses with new estimates of their sizes, with `effects` in the model.
 
-        The sizes of each change are estimated given the other changes.
-
-        Centring errors are estimated in an adjustment without centring errors. In an adjustment with them, the
-        displacements have absorbed part of an effect.
+        The sizes of each hypothesis are estimated given the other hypotheses. Centring errors are estimated in an
+        adjustment without centring errors. In an adjustment with them, the displacements have absorbed part of an
+        effect.
         """
         space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
         estimates = list[NoiseHypothesis]()
@@ -269,7 +271,7 @@ class SelectionState:
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
-        Each selected change of the noise is averaged over its alternatives, given the others.
+        Each selected noise hypothesis is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
         for change in (n for n in self.noise_changes if not isinstance(n.effect, CentringVariance)):
@@ -279,7 +281,7 @@ class SelectionState:
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
-        """Hypotheses of changes of the noise in a residual space."""
+        """Noise hypotheses in the residual space `space`."""
         quieter = not any(getattr(change.effect, "shared_error_repetition", "") for change in self.noise_changes)
         return NoiseHypothesisSet.from_space(
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
@@ -288,7 +290,7 @@ class SelectionState:
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State with new estimates of the noise, with `effects` in the model.
 
-        Changes of the noise without a positive log evidence are removed.
+        Noise hypotheses without a positive log evidence are removed.
         """
         state = self._with_estimated_variances(effects)
         supported = [
@@ -299,7 +301,7 @@ class SelectionState:
         return state._with_noise_changes(supported).with_estimated_noise(effects)
 
     def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) of the readings of n pointings with the given changes of the noise."""
+        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses."""
         sigma, sightings = self.recording.sigma(), self.baseline_adjustment.sightings
         for change in noise_changes:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))

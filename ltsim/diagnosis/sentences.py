@@ -22,7 +22,7 @@ COVARIATE_TEXTS = {
     "place": "the position in the hall",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Phrases for users in place of names of covariates that a sentence does not explain."""
+"""Phrases for users in place of the names of covariates that need an explanation."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
@@ -76,10 +76,10 @@ def catalogue_effect_sentence(
     *,
     p_same_scope: float | None = None,
 ) -> str:
-    """Sentences on an effect of the catalogue: its size, place and usual cause, and two probabilities.
+    """Sentences on a finding that is a catalogue effect: its size, place and usual cause, and two probabilities.
 
     `probability` is the probability of this effect, and `p_same_scope` the probability of any effect with the same
-    scope.
+    scope (observables, place, covariates).
     """
     entry = catalogue_entry(find_effect(effect_name))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
@@ -105,9 +105,10 @@ def catalogue_effect_sentence(
 def law_sentence(
     scope: FindingScope, parameters: Sequence[ParameterEstimate], p_same_scope: float, law_text: str
 ) -> str:
-    """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
+    """Sentences on an empirical law outside the catalogue: changed quantity, regressor, place, size, probability.
 
-    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope.
+    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
+    (observables, place, covariates).
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""
@@ -127,7 +128,10 @@ def law_sentence(
 
 
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
-    """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
+    """Sentences on noise that differs from the declared noise in a way outside the catalogue: place and covariates.
+
+    `noise_text` is the description of this noise.
+    """
     covariates = names_text([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" It depends on {covariates}." if covariates else ""
     present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
@@ -165,8 +169,7 @@ def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[
 
 ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
 """Replacement of each unit of time, for a recording without a clock: unit ``rows`` and a factor on the value. One row
-of the recording then stands for one second.
-"""
+of the recording then stands for one second."""
 
 
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:

@@ -1,7 +1,7 @@
-"""Posterior distribution of the parameters and shape constants of an effect, on a grid of shape constants.
+"""Posterior distribution of the parameters and shape parameters of an effect, on a grid of shape parameters.
 
-A shape constant is a constant on which the effect does not depend linearly, such as a time constant. The grid also
-includes neighbouring places, such as the time of a step in the next gap between pointings.
+A shape parameter enters the effect nonlinearly (period, time constant, onset time). The grid also includes neighbouring
+places, such as the time of a step in the next gap between pointings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,25 +22,28 @@ from ltsim.scene.sightings import Sightings
 REGION_CENTRE_DIFFERENCE_STEP = 0.05
 """Step [m] of the centre of a region of the hall for second differences of the log evidence."""
 MAX_CENTRE_SIGMA_IN_STEPS = 20.0
-"""Standard deviation, divided by `REGION_CENTRE_DIFFERENCE_STEP`, that a coordinate of a region's centre gets if the
-readings do not determine it."""
+"""Largest standard deviation of a coordinate of a region's centre, divided by `REGION_CENTRE_DIFFERENCE_STEP`. A
+coordinate that the readings do not determine gets this standard deviation."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape constant is integrated, from one coarse step below its optimum to one coarse
-step above."""
+"""Number of grid points over which a shape parameter is integrated, from one coarse step below its optimum to one
+coarse step above."""
 N_REFINEMENT_GRID_POINTS = 9
-"""Number of points of each refinement of the grid around its optimum, whose peak may be much narrower than a step."""
+"""Number of points of each refinement of the grid of a shape parameter around its optimum, whose peak may be much
+narrower than a step."""
 N_GRID_REFINEMENTS = 2
-"""Number of refinements of the grid around its optimum."""
+"""Number of refinements of the grid of a shape parameter around its optimum."""
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
-    """Grid of q values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
+    """Grid of q values (q,) of a shape parameter within its bounds, and the widths (q,) of the cells of the grid.
 
-    The grid has `n_nodes` values over the bounds, and is denser within four standard deviations `sigma` of `estimate`.
-    The widths are in the coordinate in which the grid is evenly spaced: the value, its logarithm, or its reciprocal.
+    `shape` defines the shape parameter. The grid has `n_nodes` values over the bounds, and is denser within four
+    standard deviations `sigma` of `estimate`. The widths are in the coordinate in which the grid is evenly spaced: the
+    value, its logarithm, or its reciprocal.
     """
 
     def even_coordinate(x: Floats) -> Floats:
+        """Coordinate of the values `x` in which the grid is evenly spaced."""
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
     low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
@@ -56,9 +59,9 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
 
 
 def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
-    """Value of a shape constant at a `position` from -1 at `lower` to 1 at `upper`.
+    """Value of the shape parameter `shape` at a `position` from -1 at `lower` to 1 at `upper`.
 
-    The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the constant.
+    The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the parameter.
     """
     s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
@@ -71,7 +74,10 @@ def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float
 def integrate_over_shapes(
     calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable shape constants, and log evidence averaged over a cell of the coarse grid."""
+    """Effect with the most probable shape parameters, and log evidence averaged over a cell of the coarse grid.
+
+    The effects of `conditioning_model` are estimated in addition.
+    """
     effect, value = calculator.refine_locally([effect], conditioning_model)[0]
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
@@ -87,9 +93,10 @@ def _integrate_over_shape(
     conditioning_model: Model,
     log_evidence: float,
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable value of one shape constant, and log evidence averaged over a coarse cell.
+    """Effect with the most probable value of one shape parameter, and log evidence averaged over a coarse grid cell.
 
-    The cell extends over one step of the coarse grid on both sides. `log_evidence` is the log evidence of `effect`.
+    The cell extends over one step of the coarse grid on both sides. `shape` defines the shape parameter, and
+    `log_evidence` is the log evidence of `effect`. The effects of `conditioning_model` are estimated in addition.
     """
     now = float(getattr(effect, shape.name))
     low, high = shape.neighbouring_grid_interval(now)
@@ -98,6 +105,7 @@ def _integrate_over_shape(
     u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
 
     def log_evidence_at(positions: Floats) -> Floats:
+        """Log evidence at positions from -1 to 1: one coarse step below and above the value of the effect."""
         values = (shape_constant_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
             [effect.with_constants(**{shape.name: value}) for value in values], conditioning_model
@@ -118,7 +126,7 @@ def _integrate_over_shape(
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in place, or in a shape constant by more than the interval of integration over it."""
+    """True if two effects differ in place, or in a shape parameter by more than the interval of integration over it."""
     if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
@@ -129,14 +137,14 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
 
 
 class ShapeConstantsNode(NamedTuple):
-    """Node of the grid of shape constants of an effect: their values, and estimates of the k parameters."""
+    """Node of the grid of shape parameters of an effect: their values, and estimates of the k parameters."""
 
     effect: CandidateEffect
-    """Effect with these shape constants."""
+    """Effect with the shape parameters of the node."""
     log_weight: float
     """Log of the evidence times the volume of the node's cell of the grid."""
     shape_constants: dict[str, float]
-    """Values [SI] of the shape constants by name, including the time of a change."""
+    """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats
     """Posterior mean (k,) of the k parameters [SI]."""
     parameter_variances: Floats
@@ -175,13 +183,12 @@ def shape_constants_nodes(
     *,
     uses_search_prior: bool = False,
 ) -> list[ShapeConstantsNode]:
-    """Nodes of the grid of an effect over its shape constants and neighbouring places.
+    """Nodes of the grid of an effect over its shape parameters and neighbouring places.
 
-    The result is empty for an effect with neither.
-
-    The grid is finer around the shape constants of `effect`. `shape_constant_sigmas` are the standard deviations [SI]
-    of these constants by name. The weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the
-    prior that the search uses.
+    The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
+    parameters of `effect`. `shape_parameter_sigmas` are the standard deviations [SI] of these parameters by name. The
+    weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the prior of the search. The effects
+    of `conditioning_model` are estimated in addition.
     """
     shape_parameters = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
@@ -272,11 +279,11 @@ def estimates_averaged_over_shapes(
     conditioning_model: Model,
     estimates: Sequence[ParameterEstimate],
 ) -> dict[str, ParameterEstimate]:
-    """Posterior means and standard deviations of the parameters and shape constants of an effect, by name.
+    """Posterior means and standard deviations of the parameters and shape parameters of an effect, by name.
 
-    The posterior is summed over a grid of shape constants that is densest at `estimates`. Unlike the Laplace
+    The posterior is summed over a grid of shape parameters that is densest at `estimates`. Unlike the Laplace
     approximation, the results are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for
-    effects without shape constants.
+    effects without shape parameters. The effects of `conditioning_model` are estimated in addition.
     """
     nodes = shape_constants_nodes(
         calculator, effect, conditioning_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}

@@ -1,4 +1,4 @@
-"""Switches: laws with a constant effect that acts only at some times, or only in some intervals of a covariate.
+"""Switches: empirical laws that act only at some times, or only in some intervals of a covariate, with a constant size.
 
 Given edges divide the covariate into spans. A search toggles intervals of neighbouring spans, from on to off or from
 off to on, while the evidence increases. Let H be the Gram matrix of the spans, o their states (0 or 1), and d = 1 - 2 o
@@ -25,30 +25,31 @@ from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
 """Smallest number of times within set-ups at which a switched law turns on or off: for a law with a region of the hall
-(True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
-steps."""
+(True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with steps.
+"""
 MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of times at which a switched law that acts on one target turns on or off. With one or two such times
 the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
-"""Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
+"""Largest number of steps and ramps of an empirical law, and of intervals of the covariate whose state is toggled."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals that a search toggles after the last increase of the evidence, before it stops."""
+"""Number of intervals of the covariate that a search toggles after the last increase of the evidence, before it
+stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a switched regressor, divided by its mean square without the switch. At this limit the law
-acts on about one pointing in a thousand."""
+"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the
+switch. At this limit the law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
-    """Gram matrix and score of a law with separate coefficients in each of S spans."""
+    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate."""
 
     gram: Floats
     """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans."""
     score: Floats
     """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans."""
     mean_square_contributions: Floats
-    """Contribution (S,) of each of S spans to the mean square of the regressor."""
+    """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
@@ -73,6 +74,7 @@ def switched_forms(
 ) -> list[Hypothesis]:
     """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
 
+    `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
     false.
     """
@@ -101,7 +103,10 @@ def switched_forms(
 def _forms_with_formula_as_second_factor(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve."""
+    """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve.
+
+    `form` is the law with the curve. The effects of `conditioning_model` are estimated in addition.
+    """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
@@ -120,7 +125,11 @@ def _forms_with_formula_as_second_factor(
 def _span_gram_and_score(
     calculator: EvidenceCalculator, law: EmpiricalLaw, step_regressors: Sequence[Regressor], conditioning_model: Model
 ) -> SpanGramAndScore:
-    """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next."""
+    """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next.
+
+    `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
+    addition.
+    """
     sightings, count = calculator.space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
@@ -188,7 +197,10 @@ def _cumulative_sums(step_values: Floats) -> Floats:
 
 
 def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb."""
+    """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb.
+
+    `edge_regressors` are the steps at the edges.
+    """
     least = (
         MIN_TARGET_SWITCH_EDGES
         if len(law.targets) == 1
@@ -204,7 +216,7 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switched law is on for several targets and off for several targets.
 
-    Otherwise the cause is an error of a single target.
+    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

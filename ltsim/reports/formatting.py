@@ -29,7 +29,7 @@ def is_determined_by_readings(sigma: float | None, prior_sigma: float | None) ->
 
 
 def duration_text(seconds: float) -> str:
-    """Text of a time span [s]."""
+    """Text of a time span of `seconds` [s], in s, min or h."""
     minutes = seconds / 60.0
     if minutes < 1:
         return f"{seconds:.0f} s"
@@ -46,7 +46,7 @@ def tracker_preset_names_text(scenarios: Iterable[Scenario | ScenarioSettings]) 
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Sort key of natural order: T9 before T10."""
+    """Sort key of `text` for natural order: T9 before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
@@ -70,7 +70,7 @@ def typographic_text(text: str) -> str:
 
 
 def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[bool, str]:
-    """Result of the two-sided global test: True if readings and model agree, and a text without full stop.
+    """Verdict of the two-sided global test: True if readings and model agree, and a text without full stop.
 
     `p_value` is the probability of a larger chi-square.
     """

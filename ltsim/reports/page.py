@@ -1,4 +1,4 @@
-"""Pages as one HTML file that works offline: results with verdict, next actions and evidence."""
+"""Report pages as one HTML file that works offline: results with verdict, next actions and evidence."""
 
 import importlib.metadata
 import platform
@@ -55,7 +55,7 @@ HEADLINES = {
 
 
 PAGE_FILE = "report.html"
-"""Name of the page in a folder."""
+"""Name of the HTML page in a folder of results."""
 CAMPAIGN_MANIFEST = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
 FIRST_RESULT_FILES = ("diagnosis.json", "calibration.json")
@@ -66,15 +66,16 @@ UNREADABLE_SECTION_KIND = "Not readable"
 
 @dataclass(frozen=True)
 class PagePart:
-    """Result for one section of a page: its folder, its file, and the recording from which it was computed.
-
-    `omits_residuals` is True if another section shows the residuals of the same recording.
-    """
+    """Part of a page: a result for one section, with its folder, its file and its recording."""
 
     folder: Path
+    """Folder of the result."""
     result_file: str
+    """Name of the result file in the folder."""
     recording: Path | None
+    """Folder of the recording from which the result was computed; None if it is not available."""
     omits_residuals: bool = False
+    """True if another section of the page shows the residuals of the same recording."""
 
 
 RESULT_FILES_IN_PAGE_ORDER = (
@@ -88,7 +89,7 @@ RESULT_FILES_IN_PAGE_ORDER = (
 
 
 def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Section:
-    """Section of the page for one folder; raises RecordError, and InputError if packages are missing."""
+    """Section of the page for one part; raises RecordError, and InputError if packages are missing."""
     if page_part.result_file == OBSERVATIONS_FILE:
         return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
     if page_part.result_file == CAMPAIGN_MANIFEST:
@@ -107,7 +108,7 @@ def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Sectio
 def document_of_folder(
     folder: Path, *, recording: Path | None = None, title: str | None = None, about: ReportHeader | None = None
 ) -> Document:
-    """Document of the page of a folder.
+    """Document of the page that reports the results in a folder.
 
     Raises
     ------
@@ -141,7 +142,10 @@ def _recommended_actions(sections: list[Section]) -> list[str]:
 
 
 def _header_lines(page_parts: list[PagePart], sections: list[Section], about: ReportHeader) -> list[tuple[str, str]]:
-    """Header lines (name, text): instrument, date, operator, customer, axes; lines without a text are omitted."""
+    """Header lines (name, text): instrument, date, operator, customer, axes; lines without a text are omitted.
+
+    `about` are texts given by the user, by name of the line.
+    """
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [
         read_setup(recording_folder / SETUP_FILE)
@@ -164,6 +168,10 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], about: Re
 
 
 def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
+    """Parts of the page of a folder: a part for each result in the folder, or in folders of it.
+
+    `recording` is the recording that the user gave; None without it.
+    """
     subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     page_parts = [
         PagePart(result_folder, kind, recording or _recording_folder(result_folder, folder))
@@ -267,7 +275,7 @@ def package_versions() -> list[tuple[str, str]]:
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
-    """Folder of the recording of the results in a folder, searched in and next to it."""
+    """Folder of the recording of the results in a folder, searched in and next to it; None without it."""
     for candidate in (result_folder, result_folder / "recording", result_folder.parent / "recording", page_folder):
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()

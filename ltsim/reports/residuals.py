@@ -19,14 +19,14 @@ from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.recording import OBSERVABLES
 
 NameArray = NDArray[np.str_]
-"""Array of names."""
+"""Array of names (of stations or targets)."""
 
 OBSERVABLE_UNITS = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
-"""Display unit of each observable."""
+"""Display unit of the residuals of each observable."""
 DEFAULT_COVARIATES = ("azimuth", "elevation", "distance", "time", "row")
 """Covariates in figures of residuals, as far as the residuals have them; `time` needs a recording with a clock."""
 COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
-"""Display unit of each covariate."""
+"""Display unit of each covariate in figures of residuals."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,9 @@ class Residuals:
     data_row: Ints
     """Number (n,), from 1, of the row of each of n readings in the table of the recording."""
     station: NameArray
+    """Names (n,) of the stations of n readings."""
     target: NameArray
-    """Names of the targets of n readings, (n,); `station` are the names of their stations."""
+    """Names (n,) of the targets of n readings."""
     observable: Ints
     """Index (n,) into `OBSERVABLES` of the observable of each of n readings."""
     residual: Floats
@@ -47,7 +48,7 @@ class Residuals:
     redundancy: Floats
     """Redundancy number (n,) of each of n readings, from 0 (not checked by other readings) to 1."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Covariates of n readings by name, (n,) each, in the units of `COVARIATE_UNITS`."""
+    """Covariates (n,) of n readings by name, in the units of `COVARIATE_UNITS`."""
 
     def __len__(self) -> int:
         return len(self.data_row)
@@ -58,7 +59,7 @@ class Residuals:
         return list(dict.fromkeys(self.station.tolist()))
 
     def is_of_observable(self, observable: str) -> Bools:
-        """Mask (n,) of n readings, True for those of an observable."""
+        """Mask (n,) of n readings, True for those of the observable with this name."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
@@ -85,7 +86,10 @@ class Residuals:
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
-        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit."""
+        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit.
+
+        `file` is the path of the table, for messages.
+        """
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong_row = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong_row is not None:
@@ -144,7 +148,7 @@ class Residuals:
             return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
-        """Index (n,) in `reference` of each of n readings (same data row and observable); -1 if it is missing there."""
+        """Index (n,) in `reference` of each of n readings (same data row and observable); -1 for a missing reading."""
         row_by_key = {
             key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
         }

@@ -21,32 +21,30 @@ WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
-"""Largest number of arrows in a scene; if there are more, the longest ones are drawn."""
+"""Largest number of correction arrows in a scene; if there are more, the longest arrows are drawn."""
 MAX_METRE_LINES = 200
 """Largest number of lines at full metres on the floor; a larger hall is drawn without them."""
 MAX_OMITTED_NAMES = 4
-"""Largest number of omitted names that the legend lists."""
+"""Largest number of names, omitted for lack of space, that the legend lists."""
 MAX_TARGET_LABELS = 60
 """Number of targets above which the names of the targets are not drawn."""
 MAX_FINE_SPHERES = 150
-"""Number of spheres above which spheres are drawn with fewer facets."""
+"""Number of targets above which their spheres are drawn with fewer facets."""
 MAX_MEDIUM_SPHERES = 600
-"""Number of spheres above which spheres are drawn with the fewest facets."""
+"""Number of targets above which their spheres are drawn with the fewest facets."""
 SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
-"""Colour map of lines of sight."""
+"""Colour map of the values of lines of sight."""
 
 vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning about a missing display
 
 
 @dataclass(frozen=True)
 class SceneLegend:
-    """Legend of a scene: lines of text, and the colour bar of the lines of sight.
-
-    `colour_bar` is the label, the lowest and the highest value of the colours; None without lines of sight.
-    """
+    """Legend of a scene: lines of text, and the colour bar of the lines of sight."""
 
     lines: tuple[str, ...]
     colour_bar: tuple[str, float, float] | None = None
+    """Label, lowest and highest value of the colours; None without lines of sight."""
 
 
 def round_magnification(length: float, drawn_length: float) -> float:
@@ -60,7 +58,7 @@ def round_magnification(length: float, drawn_length: float) -> float:
 
 
 def magnification_text(magnification: float) -> str:
-    """Magnification as text, with a space between thousands: `2 000`."""
+    """Text of a magnification, with a space between thousands: `2 000`."""
     return f"{magnification:,.0f}".replace(",", " ")
 
 
@@ -95,7 +93,7 @@ def build_scene(
 
 
 def scene_png(workshop: WorkshopScene, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
-    """PNG of the scene of a hall, with title, legend and colour bar."""
+    """PNG of the scene of a hall, with title, legend and colour bar; `window_size` in pixels."""
     plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()
@@ -111,7 +109,7 @@ def capture_and_close(plotter: pv.Plotter) -> Image.Image:
 
 
 def show_window(workshop: WorkshopScene) -> None:
-    """Open a window; returns when it is closed."""
+    """Open a window with the scene of a hall; returns when it is closed."""
     plotter, legend = build_scene(workshop, off_screen=False)
     write_legend(plotter, workshop.title, legend)
     plotter.show()
@@ -146,7 +144,7 @@ def write_legend(plotter: pv.Plotter, title: str, legend: SceneLegend) -> None:
 
 
 def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
-    """Draw floor, metre lines, walls and obstacles."""
+    """Draw floor, metre lines, walls and obstacles of a hall."""
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor_corners, np.full(len(workshop.floor_corners), z - 0.002)])
     plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
@@ -192,7 +190,10 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
-    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor."""
+    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor.
+
+    The opening angles are added to `legend_lines`.
+    """
     z = workshop.floor_height
     for k, opening in enumerate(workshop.shadow_cone_openings):
         radius = workshop.shadow_radii_on_floor(opening)
@@ -242,7 +243,7 @@ def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
 
 
 def _draw_targets(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
-    """Draw targets as spheres, and the lengths between targets of the gauge as lines."""
+    """Draw targets as spheres, and the gauge (reflectors at known distances) as lines between its targets."""
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.largest_extent
     for name, colour, chosen in (
@@ -362,7 +363,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
 
 
 def _facing_axes(direction: Floats) -> Floats:
-    """Unit vectors (3, 3) to the right, upwards, and along `direction` (3,), of a plane perpendicular to it."""
+    """Unit vectors (3, 3) of a plane perpendicular to `direction` (3,): right, up, and along the direction."""
     outwards = direction / np.linalg.norm(direction)
     right_axis = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
     right_axis /= np.linalg.norm(right_axis)
@@ -370,7 +371,7 @@ def _facing_axes(direction: Floats) -> Floats:
 
 
 def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
-    """Mesh of a name with letters of a height [m], in the plane of `axes`."""
+    """Mesh of a name at the point `place` with letters of a height [m], in the plane of `axes` (3, 3)."""
     text = style.shortened_name(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # in front of a wall behind the target

@@ -37,7 +37,7 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
-"""Style sheet of the page."""
+"""Style sheet of the page with a 3D scene."""
 PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
 """Elements for the head of the page: content security policy, and the name of ltsim as generator."""
 PAGE_HEAD += '<meta name="generator" content="ltsim">'
@@ -51,7 +51,7 @@ A step is smaller than a pixel.
 
 
 def scene_page(workshop: WorkshopScene, camera: scene3d.Camera | None = None) -> str:
-    """Self-contained HTML page with the interactive scene."""
+    """Self-contained HTML page with the interactive 3D scene of a hall, seen from `camera` if it is given."""
     plotter, legend = scene3d.build_scene(workshop, camera=camera)
     html = _page_html(plotter, workshop, legend)
     plotter.close()
@@ -67,6 +67,7 @@ def scene_picture_and_page(workshop: WorkshopScene) -> tuple[Image.Image, scene3
 
 
 def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.SceneLegend) -> str:
+    """HTML page with the scene of a plotter, the title of the hall, and the legend."""
     step = 2.0 ** np.floor(np.log2(workshop.largest_extent / N_COORDINATE_STEPS))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
@@ -86,6 +87,7 @@ def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.Sce
 
 
 def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
+    """HTML of the title, the legend and the colour bar over a scene."""
     lines = "".join(f"<p>{escape(as_printable(line))}</p>" for line in legend.lines)
     html_parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.colour_bar is not None:
@@ -103,11 +105,11 @@ FAVICON_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\
 """Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)
-"""Date of the entries of the archive, so that equal scenes give equal bytes."""
+"""Date of the entries of the archive with a scene, so that equal scenes give equal bytes."""
 
 
 def _vtk_scene(window: Any) -> dict[str, Any]:
-    """Render window in the format of vtk.js, with its arrays."""
+    """Scene of a render window in the format of vtk.js, with its arrays."""
     serializers.initialize_serializers()
     context = serializers.SynchronizationContext()
     context.set_ignore_last_dependencies(True)
@@ -126,7 +128,7 @@ def _vtk_scene(window: Any) -> dict[str, Any]:
 
 
 def _zip_archive(scene: dict[str, Any]) -> bytes:
-    """Zip archive for the viewer, without dates."""
+    """Zip archive of a scene for the viewer, without dates."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         entry = zipfile.ZipInfo("index.json", ZIP_DATE)

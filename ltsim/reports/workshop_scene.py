@@ -1,6 +1,6 @@
 """Scene of a measuring hall as reports draw it: stations, targets, gauge, floor, walls, obstacles, lines of sight.
 
-A scene is made from a recording, a calibration or a scenario.
+The gauge is a group of reflectors at known distances. A scene is made from a recording, a calibration or a scenario.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
 ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
-"""Alternative opening angle [rad] of the shadow cone (Sensors 2021, 21, 7479, section 2.3.2)."""
+"""Alternative opening angle [rad] of the shadow cone below a tracker, in which it sees nothing (Sensors 2021, 21, 7479,
+section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
 """Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
 
@@ -35,50 +36,58 @@ If all of them are higher, the floor is drawn at the lowest target. The limit is
 tripod.
 """
 MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
-"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall: the normal is
-at most 75 degrees from the perpendicular. The value is a choice for drawing."""
+"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall. The normal is
+then at most 75 degrees from the perpendicular. The value is a choice for drawing."""
 MAX_WALL_DEPTH_DIFFERENCE = 0.2
 """Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
 FLOOR_MARGIN = 0.4
-"""Margin [m] of the floor around stations and targets."""
+"""Margin [m] of the drawn floor around stations and targets."""
 
 
 @dataclass(frozen=True)
 class DrawnSights:
-    """Lines of sight to draw: index (n,) of the station, index (n,) of the target, and value (n,) of each of n lines.
-
-    The value determines the colour; `value_label` is its name with the unit.
-    """
+    """Lines of sight to draw, n of them, each with a value that determines its colour."""
 
     station: Ints
+    """Index (n,) of the station of each line."""
     target: Ints
+    """Index (n,) of the target of each line."""
     value: Floats
+    """Value (n,) of each line, which determines its colour."""
     value_label: str
+    """Name of the values with their unit."""
 
 
 @dataclass(frozen=True)
 class WorkshopScene(ValueEquality):
-    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
+    """Scene of a hall: stations, targets and surroundings in a frame with a vertical z axis, in metres and radians."""
 
     title: str
+    """Title of the scene, free text."""
     stations: tuple[str, ...]
+    """Names of the S stations."""
     station_positions: Floats
-    """Positions of the S stations, (S, 3) [m]."""
+    """Positions (S, 3) [m] of the S stations."""
     station_rotations: Floats
     """Rotation matrices (S, 3, 3) from the instrument frame of each of S stations to the frame of the scene."""
     targets: tuple[str, ...]
+    """Names of the T targets."""
     target_points: Floats
+    """Coordinates (T, 3) [m] of the T targets."""
     nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Unit normals of the nests of the T targets, (T, 3); NaN for a reflector that is turned to each station."""
+    """Unit normals (T, 3) of the nests of T targets; NaN for a reflector that is turned to each station."""
     floor_corners: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """Coordinates x, y (k, 2) [m] of the k corners of the floor."""
     floor_height: float = 0.0
+    """Height z [m] of the floor."""
     wall_corners: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
     """Coordinates (W, 4, 3) [m] of the four corners of each of W walls."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
-    """Pairs of targets with a reference length."""
+    """Pairs of indices of targets with a reference length between them."""
     elevation_min: float = -55.0 * DEGREE
+    """Lowest elevation [rad] to which the trackers point."""
     sights: DrawnSights | None = None
+    """Lines of sight to draw; None if they are not drawn."""
     target_covariances: Floats | None = None
     """Covariance (T, 3, 3) [m^2] of each of T targets; None if unknown."""
     target_corrections: Floats | None = None
@@ -86,7 +95,7 @@ class WorkshopScene(ValueEquality):
     obstacle_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners (k, 3, 3) [m] of the k triangles of obstacles."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """Index of station and target of each of k lines of sight that an obstacle blocks, (k, 2)."""
+    """Index of station and target (k, 2) of each of k lines of sight that an obstacle blocks."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
@@ -97,7 +106,10 @@ class WorkshopScene(ValueEquality):
 
     @property
     def shadow_cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`."""
+        """Full angles [rad] of the cones below a tracker in which it sees nothing.
+
+        They are that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`.
+        """
         limit = default_shadow_cone_opening(self.elevation_min)
         return (
             (limit,)
@@ -111,12 +123,12 @@ class WorkshopScene(ValueEquality):
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
-        """Indices of the targets that belong to the gauge."""
+        """Indices of the targets that belong to the gauge (reflectors at known distances)."""
         return tuple(sorted({i for pair in self.gauge_pairs for i in pair}))
 
     @property
     def largest_extent(self) -> float:
-        """Largest extent [m] of the targets and stations."""
+        """Largest extent [m] of the targets and stations along an axis."""
         points = np.concatenate([self.target_points, self.station_positions])
         return float(np.max(np.ptp(points, axis=0)))
 
@@ -132,7 +144,7 @@ class WorkshopScene(ValueEquality):
         return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
     def with_sights_coloured_by(self, quantity: str) -> WorkshopScene:
-        """Workshop with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
+        """Scene with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
@@ -140,7 +152,10 @@ class WorkshopScene(ValueEquality):
 def workshop_from_adjustment(
     adjustment: Adjustment, *, adjustment_without_parameters: Adjustment | None = None
 ) -> WorkshopScene:
-    """Workshop of an adjusted network; arrows show the change of the targets by the instrument's parameters."""
+    """Scene of an adjusted network; arrows show the change of the targets by the instrument's parameters.
+
+    The change is relative to `adjustment_without_parameters`; None for a scene without arrows.
+    """
     recording, state = adjustment.recording, adjustment.state
     largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
     has_plan_position = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
@@ -170,7 +185,7 @@ def workshop_from_adjustment(
 
 
 def workshop_from_recording(recording: Recording) -> WorkshopScene:
-    """Workshop of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
+    """Scene of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
 
     Arrows show the change of the targets by the estimation of these parameters.
     """
@@ -185,7 +200,10 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
 
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
-    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
+    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one.
+
+    The gauge is a group of reflectors at known distances.
+    """
     floor_plan = FloorPlanTransform.from_positions(
         setup, scene.stations, scene.station_positions, scene.station_rotations
     )
@@ -281,12 +299,12 @@ def _wall_corners(wall_planes: list[tuple[int, float, float]], floor: Floats, lo
 
 
 def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
-    """Workshop of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
+    """Scene of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
 
     Raises
     ------
     InputError
-        If the gauge or a CAD file of the scenario is invalid.
+        If the gauge (reflectors at known distances) or a CAD file of the scenario is invalid.
     """
     layout = planned_layout(scenario)
     visibility = make_visibility(scenario, layout)
@@ -318,7 +336,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
 def workshop_with_cad(
     workshop: WorkshopScene, file: Path, unit: str | None = None, vertical_axis: str | None = None
 ) -> WorkshopScene:
-    """Workshop with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
+    """Scene with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
 
     Raises
     ------

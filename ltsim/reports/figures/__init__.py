@@ -21,6 +21,7 @@ FIGURE_MODULES = ("campaign", "floor_plan", "marked_floor_plans", "parameters", 
 
 
 def _import_figure_module(name: str) -> Any:
+    """Module of figures with this name; raises AttributeError for another name."""
     if name in FIGURE_MODULES:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

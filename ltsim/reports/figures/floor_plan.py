@@ -26,27 +26,27 @@ LABEL_DISTANCE_PT = 6.0
 LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Ratio of height to width of an area above which its label is vertical, because the area is narrower than the label.
-"""
+"""Ratio of height to width of an area above which its label is vertical, because the area is narrower than the
+label."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
 
 @dataclass(frozen=True)
 class MapLabel:
-    """Label of a marker at `anchor` (2,) in data units, with its font size [pt].
-
-    The label is placed in `preferred_direction` [rad] from the marker if there is space. A vertical label is read from
-    the right.
-    """
+    """Label of a marker or an area on a floor plan."""
 
     text: str
     anchor: Floats
+    """Position (2,) of the marker in data units."""
     font_size: float = 7.0
+    """Font size [pt]."""
     is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
+    """Direction [rad] from the marker in which the label is placed if there is space."""
     is_vertical: bool = False
+    """True for a vertical label, which is read from the right."""
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
@@ -117,7 +117,10 @@ def floor_plan(
     floor: Floor | None = None,
     draw_markers: Callable[[Axes], list[MapLabel]] = lambda ax: [],
 ) -> Figure:
-    """Floor plan in metres. Circles are shadow cones on the floor; the tick of a station points to azimuth zero.
+    """Floor plan of a hall in metres, seen from above.
+
+    Circles are shadow cones (what a tracker cannot see below it) on the floor. The tick of a station points to azimuth
+    zero.
 
     Parameters
     ----------
@@ -296,7 +299,7 @@ def _draw_visibility_pies(ax: Axes, workshop: WorkshopScene, is_visible: Bools) 
 
 
 def _draw_gauge(ax: Axes, workshop: WorkshopScene) -> None:
-    """Draw the reference lengths of the gauge as lines."""
+    """Draw the gauge (reflectors at known distances): its reference lengths as lines."""
     for k, (a, b) in enumerate(workshop.gauge_pairs):
         ends = workshop.target_points[[a, b], :2]
         ax.plot(
@@ -367,6 +370,7 @@ def _draw_stations(ax: Axes, workshop: WorkshopScene, colours: Sequence[str]) ->
 
 
 def _station_labels(workshop: WorkshopScene) -> list[MapLabel]:
+    """Labels of the stations with their names, on the side away from azimuth zero."""
     return [
         MapLabel(
             style.shortened_name(name, 16),

@@ -16,7 +16,7 @@ PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
 
 @style.with_figure_style
 def displacement_figure(comparison: Comparison) -> Figure:
-    """Displacements of points as lines with a common magnification, in two projections.
+    """Figure of displacements of points as lines with a common magnification, in two projections.
 
     The circle at the end of a line has the largest semi-axis of the 95 % ellipsoid as its radius.
     """
@@ -65,7 +65,7 @@ MAX_MARKER_OFFSET_IN_GROUP_ROW = 0.32
 
 @style.with_figure_style
 def error_to_limit_figure(content: AcceptanceFile) -> Figure:
-    """Error of each acceptance test divided by its limit, one row per group of tests.
+    """Figure of the error of each acceptance test divided by its limit, one row per group of tests.
 
     Bars are expanded uncertainties; the marker shows the judgement.
     """

@@ -24,7 +24,7 @@ INTERVAL_95_HALF_WIDTH_SIGMAS = 1.96
 
 @style.with_figure_style
 def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
-    """Normalised residuals of all observables over each available covariate, with running means."""
+    """Figure of the normalised residuals of all observables over each available covariate, with running means."""
     names = [name for name in DEFAULT_COVARIATES if name in residuals.covariates]
     figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
@@ -48,7 +48,7 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 
 @style.with_figure_style
 def residuals_by_station_figure(residuals: Residuals, reference: Residuals | None = None) -> Figure:
-    """Residuals by station as dots, with their root mean square as a bar; one panel per observable.
+    """Figure of residuals by station as dots, with their root mean square as a bar; one panel per observable.
 
     `reference` are the residuals before a correction, drawn next to the residuals in another colour.
     """
@@ -86,7 +86,7 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
 def finding_comparison_figure(
     without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
 ) -> Figure:
-    """Residuals over a covariate, from the model without a finding (left) and with the finding (right).
+    """Figure of residuals over a covariate, from the model without a finding (left) and with the finding (right).
 
     Each row of panels shows one observable. `scope` contains the stations, targets and observables of the finding.
     Residuals at other stations and targets are pale dots.
@@ -139,10 +139,10 @@ def finding_comparison_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
+    """Figure of the estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
 
-    For an observable, the residuals of the model without the finding are drawn as dots behind the curve,
-    and the curve has the sign of a residual.
+    For an observable, the residuals of the model without the finding are drawn as dots behind the curve, and the curve
+    has the sign of a residual. `response` is the name of the observable or constant.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
@@ -169,7 +169,7 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
 
 
 def covariate_axis_label(covariate: str) -> str:
-    """Label of a covariate's axis."""
+    """Label of the axis of a covariate, with its unit."""
     unit = COVARIATE_UNITS.get(covariate, "")
     return f"{style.shortened_name(covariate)} [{unit}]" if unit else style.shortened_name(covariate)
 
@@ -214,9 +214,9 @@ def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = sty
 def injected_and_estimated_figure(
     covariate: Floats, injected_changes: Floats, estimated_changes: Floats, axis: str, label: str
 ) -> Figure:
-    """Injected changes (n,) of n readings as rings, and estimated changes (n,) as dots, over a covariate (n,).
+    """Figure of injected changes (n,) of n readings as rings, estimated changes (n,) as dots, over a covariate.
 
-    `axis` is the axis label of the covariate, `label` the axis label of the changes.
+    `axis` is the axis label of the `covariate` (n,), `label` the axis label of the changes.
     """
     figure, ax = style.new_panel(2.7)
     order = np.argsort(covariate, kind="stable")

@@ -1,4 +1,4 @@
-"""Sections of a report: one function per kind of result, from the content of its file to a `Section`."""
+"""Sections of a report: a function for each kind of result makes a `Section` from the content of its file."""
 
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +18,7 @@ SECTION_WRITERS = {
     "accept.json": ("simple_sections", "AcceptanceFile", "acceptance_section"),
     "next.json": ("simple_sections", "NextMeasurement", "next_measurement_section"),
 }
-"""Module, model and function of each result file; a module is imported on first use."""
+"""Module, data model and section function of each result file; a module is imported on first use."""
 
 
 def read_content(folder: Path, file: str) -> ResultFile:
@@ -36,4 +36,5 @@ def result_section(content: ResultFile, context: SectionContext | None = None) -
 
 
 def _import_section_module(name: str) -> Any:
+    """Module `name` of this package."""
     return import_module(f"{__name__}.{name}")

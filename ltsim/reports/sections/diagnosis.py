@@ -61,7 +61,7 @@ MAX_MARKED_TARGETS = 12
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
-"""Smallest probability of an alternative for which a measurement to exclude it is advised; by convention 5 %."""
+"""Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 MIN_CURVE_POINTS = 3
@@ -166,7 +166,7 @@ def _has_probable_alternative(finding: Finding) -> bool:
 
 
 def _key_figures(content: Diagnosis) -> list[KeyFigure]:
-    """Key figures; labels of tests of corrected readings name the findings that were corrected."""
+    """Key figures of a diagnosis; labels of tests of corrected readings name the findings that were corrected."""
     test, corrected = content.global_test, _corrected_findings_text(content)
     after_text = f" after the correction of {corrected}" if corrected else ""
     p_value = test.p_value if test.dof > 0 else None
@@ -202,7 +202,7 @@ def _residuals_before_and_after(
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals of the model without and of the model with the findings, each None if its file is missing.
 
-    The covariates are computed from `adjustments`.
+    The covariates are computed from `adjustments` (without and with instrument parameters).
     """
     file_with_findings, file_without_findings = (
         context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, BASELINE_RESIDUALS_TABLE.file)
@@ -337,6 +337,7 @@ def _finding_scope_text(scope: FindingScope) -> str:
 
 
 def _fit_tables(content: Diagnosis) -> list[TableBlock]:
+    """Table of the misfit without and with the findings in the model, with the error of held-out readings."""
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
         "noise if this is larger). The noise alone gives 1."

@@ -59,13 +59,13 @@ STATION_WORK_TABLE = Table(
         *text_columns(starts_at="time since the first pointing"),
     ),
 )
-"""Table of the work of each station."""
+"""Columns of the table of the work of each station."""
 AdjustmentsWithoutAndWithParameters = tuple[Adjustment, Adjustment]
-"""Two adjustments of one recording: without, then with the instrument's parameters."""
+"""Adjustments of the same recording: first without, then with the instrument's parameters."""
 
 
 def networks_without_and_with_parameters(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNetwork]:
-    """Networks without and with the instrument's parameters, with the identified causes of a misfit in their models.
+    """Adjustments without and with the instrument's parameters, with the identified causes of a misfit in their models.
 
     Raises NetworkError, ConvergenceError.
     """
@@ -133,7 +133,10 @@ def residuals_over_covariates(residuals: Residuals) -> list[Block]:
 
 
 def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView) -> list[Block]:
-    """Floor plan for `floor-plan`, 3D view and floor plan for `3d`; empty for `none`."""
+    """Blocks with the view of a hall: floor plan for `floor-plan`, 3D view and floor plan for `3d`; empty for `none`.
+
+    `make_scene` returns the scene of the hall.
+    """
     if hall_view == "none":
         return []
     workshop = make_scene()
@@ -175,7 +178,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
 def undetermined_combination_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
-    """Table of undetermined combinations of parameters, with the measurement that determines each."""
+    """Table of undetermined combinations of parameters, with the measurement that determines each combination."""
     table_rows = [
         [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
     ]
@@ -316,6 +319,7 @@ def _recording_size_sentence(recording: Recording) -> str:
 
 
 def _station_work_tables(recording: Recording) -> list[TableBlock]:
+    """List with the table of the work of each station: pointings, targets, faces, time."""
     table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s

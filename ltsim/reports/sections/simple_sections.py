@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
+"""Type variable of an entry of a history that names two calibrations."""
 MIN_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
@@ -102,7 +103,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
 
 
 def comparison_section(content: Comparison, _: SectionContext) -> Section:
-    """Section of a comparison of epochs."""
+    """Section of a comparison of epochs: displacements of the points."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved_targets, p_value = [d.target for d in points if d.moved], content.p_value
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
@@ -137,7 +138,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
 
 
 def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
-    """Section of acceptance tests."""
+    """Section of acceptance tests: errors, limits and judgement."""
     predicted = content.error_origin == "predicted"
     assessment = (
         assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
@@ -201,7 +202,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
 
 
 def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
-    """Section of the uncertainties of tasks."""
+    """Section of the uncertainties of tasks (measurands): values, expanded uncertainties and budgets."""
     judged_results = [r for r in content.results if r.conformity is not None]
     results = content.table("results").select_columns(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
@@ -301,7 +302,7 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
 
 
 def history_section(content: History, _: SectionContext) -> Section:
-    """Section of the history of an instrument."""
+    """Section of the history of an instrument: its calibrations and their changes."""
     labels = content.labels
     content = _with_short_labels(content)
     since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES
@@ -345,6 +346,7 @@ def _with_short_labels(content: History) -> History:
     short = dict(zip(content.labels, labels_without_common_prefix(content.labels), strict=True))
 
     def with_short_label(entry: NamedEntryT) -> NamedEntryT:
+        """Copy of an entry with the shortened labels of its calibrations."""
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
 

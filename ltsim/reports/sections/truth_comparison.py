@@ -31,7 +31,7 @@ INJECTED_TABLE = Table(
         quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"
     ),
 )
-"""Table of injected effects and findings."""
+"""Columns of the table of injected effects and findings."""
 
 
 def effect_place_text(effect: Any) -> str:
@@ -59,7 +59,10 @@ def truth_blocks(
 
 
 def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
-    """Table rows of an injected effect and its finding: effect, stations and targets, sizes, shape constants."""
+    """Table rows of an injected effect and its finding: effect, stations and targets, sizes, shape parameters.
+
+    `finding` is None if the effect was not detected.
+    """
     true_values: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
         sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
@@ -93,7 +96,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
 def _injected_and_estimated_curves(
     content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> list[Block]:
-    """List with a figure of the injected and the estimated changes of readings; empty if the effect was not found."""
+    """List with a figure of injected and estimated changes of readings; empty for an undetected effect."""
     finding = next((f for f in content.findings if f.effect == applied_effect.effect.name), None)
     if adjustments is None or finding is None:
         return []
