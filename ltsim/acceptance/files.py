@@ -21,7 +21,7 @@ JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
 """Judgements of measured errors in the order from the worst to the best."""
 
 
-def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
+def combined_judgement(judgements: Collection[Judgement]) -> Judgement:
     """Judgement of several test errors together: rejected if one is rejected, accepted if all are, else undecided."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
@@ -54,7 +54,7 @@ class TestOutcome(Entry):
         return (abs(self.error_um) - (self.expanded_uncertainty_um or 0.0)) / self.limit_um
 
     @property
-    def hardest_first_key(self) -> tuple[float, int, float]:
+    def hardest_first_sort_key(self) -> tuple[float, int, float]:
         """Sort key that puts the test first whose error exceeds its limit most, or is closest to its limit.
 
         The key consists of the probability to pass, the judgement, and the ratio of error to limit. The error is
@@ -113,7 +113,7 @@ TEST_GROUPS_TABLE = Table(
 """Columns of `groups.csv`: summary of the tests of each group."""
 
 
-class ConstantSensitivity(Entry):
+class InstrumentConstantSensitivity(Entry):
     """Sensitivity of the tests to one instrument constant, while all other instrument constants are zero."""
 
     name: str
@@ -174,7 +174,7 @@ class AcceptanceFile(ResultFile):
     """Summary of the tests of each group."""
     tests: tuple[TestOutcome, ...] = Field(min_length=1)
     """All tests with their errors and limits."""
-    sensitivities: tuple[ConstantSensitivity, ...] = ()
+    sensitivities: tuple[InstrumentConstantSensitivity, ...] = ()
     """Sensitivity of the tests to each instrument constant, one entry per constant."""
     worst_passing_instrument: WorstPassingInstrument | None = None
     """Instrument that passes every test with the largest point errors; null if it was not searched for."""
@@ -214,7 +214,7 @@ def group_summaries(
             name=name,
             n_tests=len(entries),
             pass_probability=predicted.get(name),
-            judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
+            judgement=None if predicted else combined_judgement([t.judgement for t in entries if t.judgement]),
             largest_limit_ratio=max(map(limit_ratio, entries)),
         )
         for name, entries in by_group.items()

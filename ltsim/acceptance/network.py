@@ -27,7 +27,7 @@ from ltsim.core.notation import names_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
-OUTLIER_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
+OUTLIER_CAUSE_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
 """Kinds of causes whose pointings are neither adjusted nor tested: outliers, and sights to a badly seated reflector."""
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of repeated adjustments, each without the outliers identified before."""
@@ -172,7 +172,7 @@ def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tupl
     outliers: list[CauseTest] = []
     for _ in range(MAX_OUTLIER_ROUNDS):
         calibration = calibrate(recording, advise=False)
-        identified = [test for test in calibration.tests if test.kind in OUTLIER_KINDS]
+        identified = [test for test in calibration.tests if test.kind in OUTLIER_CAUSE_KINDS]
         if not identified:
             break
         outliers += identified

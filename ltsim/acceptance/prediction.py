@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.acceptance.files import (
     AcceptanceFile,
-    ConstantSensitivity,
+    InstrumentConstantSensitivity,
     TestOutcome,
     WorstPassingInstrument,
     group_summaries,
@@ -30,7 +30,7 @@ MAX_NEGLIGIBLE_FRACTION_OF_LIMIT = 1e-6
 instrument constant if the constant, with the size of its prior standard deviation, changes the error by more."""
 MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA = 1e-6
 """Size of an instrument constant, as a fraction of its prior standard deviation, below which it is replaced by zero."""
-MAX_PRIOR_SIGMAS = 3.0
+MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
 largest point errors that passes all tests."""
 
@@ -54,7 +54,7 @@ class AcceptancePlan:
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
-    def is_length(self) -> Bools:
+    def is_length_test(self) -> Bools:
         """Mask (tests,) of the tests of a length; all other tests are two-face tests."""
         return np.array([t.kind == "length" for t in self.tests])
 
@@ -63,7 +63,7 @@ class AcceptancePlan:
         """Maximum permissible errors (tests,) [m] by the specification."""
         first, second = self._test_end_points
         limit = self.specification.two_face_limits(first)
-        chosen = self.is_length
+        chosen = self.is_length_test
         limit[chosen] = self.specification.length_limits(first[chosen], second[chosen])
         return limit
 
@@ -77,11 +77,11 @@ class AcceptancePlan:
         front = np.ones(len(first), dtype=np.int64)
         points = from_polar(self.construction.readings_from_points(first, front, constants))
         far_points = from_polar(
-            self.construction.readings_from_points(second, np.where(self.is_length, 1, 2), constants)
+            self.construction.readings_from_points(second, np.where(self.is_length_test, 1, 2), constants)
         )
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = components_across_beam(points - far_points, first)[~self.is_length]
+        errors[~self.is_length_test] = components_across_beam(points - far_points, first)[~self.is_length_test]
         return errors
 
     @cached_property
@@ -102,7 +102,7 @@ class AcceptancePlan:
         direction = way / np.where(line_lengths > 0, line_lengths, 1.0)
         for axes, sigma in (near, far):
             squares[:, 0] += np.sum((np.einsum("kai,ki->ka", axes, direction) * sigma) ** 2, axis=1)
-        squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
+        squares[~self.is_length_test] = 2 * near[1][~self.is_length_test, 1:] ** 2
         return np.sqrt(squares)
 
     def _beam_axes_and_noise(self, points: Floats) -> tuple[Floats, Floats]:
@@ -177,13 +177,13 @@ class AcceptancePlan:
         `points` has the shape (points, 3) [m]. The result is the instrument constants (constants,) [SI], the root mean
         square point error [m] and the largest point error [m]. The search is along the directions in the space of
         constants with the largest ratio of point errors to test errors, up to the limits of the tests and to
-        `MAX_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
+        `MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
         directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
             -1, len(prior_sigmas)
         )
-        metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_PRIOR_SIGMAS**2
+        metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(metric))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array(
@@ -200,8 +200,8 @@ class AcceptancePlan:
 
         `unit_direction` (constants,) is in units of `prior_sigmas` (constants,) [SI].
         """
-        low, high = 0.0, MAX_PRIOR_SIGMAS
-        while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
+        low, high = 0.0, MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS
+        while high - low > 1e-3 * MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS:
             middle = (low + high) / 2
             passes = self.is_within_limits(self.test_errors(middle * unit_direction * prior_sigmas)).all()
             low, high = (middle, high) if passes else (low, middle)
@@ -265,7 +265,7 @@ def predicted_result(
     """
     values, rms, largest = plan.worst_passing_constants(prior_sigmas, points_around_instrument())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
-    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
+    errors = np.where(plan.is_length_test, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestOutcome(
@@ -281,7 +281,7 @@ def predicted_result(
     smallest, first = plan.smallest_failing_constants()
     parameters = plan.construction.parameters
     sensitivities = tuple(
-        ConstantSensitivity(
+        InstrumentConstantSensitivity(
             name=p.name,
             unit=p.unit,
             prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),

@@ -22,7 +22,7 @@ from ltsim.recordings.tables.sheets import read_small_table
 
 TestKind = Literal["length", "two-face"]
 """Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""
-TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+TEST_TABLE_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 """Names of the columns of a CSV table of acceptance tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
 """Smallest reference length [m] that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
@@ -136,11 +136,12 @@ def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[f
 
 @as_input_error()
 def read_tests(file: Path) -> list[AcceptanceTest]:
-    """Tests from a user's CSV table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
+    """Acceptance tests from a user's CSV table with the columns `TEST_TABLE_COLUMNS`.
 
-    InputError, with row, column, value and the expected value, is raised for an invalid table.
+    In a two-face test the second point is empty. InputError, with row, column, value and the expected value, is raised
+    for an invalid table.
     """
-    tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
+    tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_TABLE_COLUMNS)]
     if not tests:
         raise InputError(f"{file}: the table has no rows; expected one row for each test")
     return tests
@@ -195,7 +196,7 @@ def points_around_instrument() -> Floats:
     return from_polar(np.stack([range_.ravel(), azimuth.ravel(), elevation.ravel()], axis=1))
 
 
-MAX_TRIALS = 10_000_000
+MAX_ACCEPTANCE_TRIALS = 10_000_000
 """Largest number of random draws that an acceptance file may request."""
 
 
@@ -240,7 +241,7 @@ class AcceptanceSettings(TomlSection):
     """Path of the recording of a network that the instrument measured; its targets provide the reference lengths."""
     measured_errors_file: str | None = None
     """CSV file of measured errors with the columns test, error_um and U_um (expanded uncertainty, may be empty)."""
-    trials: Annotated[int, Field(ge=1000, le=MAX_TRIALS)] = 20_000
+    trials: Annotated[int, Field(ge=1000, le=MAX_ACCEPTANCE_TRIALS)] = 20_000
     """Number of random draws with which the probability to pass is estimated."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random draws."""

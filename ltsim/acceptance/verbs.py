@@ -12,8 +12,8 @@ from ltsim.acceptance.files import (
     AcceptanceFile,
     Judgement,
     TestOutcome,
+    combined_judgement,
     group_summaries,
-    joint_judgement,
     measured_test_outcome,
 )
 from ltsim.acceptance.network import NetworkTests, evaluate_network
@@ -187,7 +187,7 @@ def evaluated_result(
     `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
     recording and `network_tests` its tests, which are also `test_outcomes`.
     """
-    judgement = joint_judgement([t.judgement for t in test_outcomes if t.judgement])
+    judgement = combined_judgement([t.judgement for t in test_outcomes if t.judgement])
     is_valid = network_tests is None or not network_tests.uncorrected_causes
     if not is_valid or (judgement == "accepted" and unmeasured_tests):
         judgement = "undecided"

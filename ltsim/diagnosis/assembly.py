@@ -70,15 +70,16 @@ def assemble_diagnosis(
     shift_findings = [
         model_fit.finding_of_effect(i)
         for i, hypothesis in enumerate(model.hypotheses)
-        if hypothesis.key not in model_fit.unreported_effect_keys
+        if hypothesis.effect_key not in model_fit.unreported_effect_keys
     ]
     has_clock = state.recording.has_clock
     noise_findings = [
-        _noise_finding(change, baseline.sightings, global_test, has_clock=has_clock) for change in state.noise_changes
+        _noise_finding(change, baseline.sightings, global_test, has_clock=has_clock)
+        for change in state.selected_noise_hypotheses
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
-    if model.hypotheses or state.noise_changes:
+    if model.hypotheses or state.selected_noise_hypotheses:
         dof = baseline.dof - model.basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
     verdict = "mismatch" if is_mismatch or test_findings else "consistent"

@@ -28,9 +28,9 @@ from ltsim.diagnosis.evidence import (
     normalised_probabilities,
     wide_prior_posterior,
 )
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking
 from ltsim.diagnosis.search import Searcher
-from ltsim.diagnosis.shape_constants import shape_constants_nodes
+from ltsim.diagnosis.shape_parameters import shape_parameter_nodes
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -48,7 +48,7 @@ explanations are left out to limit the computing time."""
 
 
 def average_over_explanations(
-    searcher: Searcher, model: Model, rankings_of_alternatives: Sequence[Ranking], refit: Refit
+    searcher: Searcher, model: EffectModel, rankings_of_alternatives: Sequence[HypothesisRanking], refit: Refit
 ) -> tuple[AveragedTargets, Floats]:
     """Target coordinates and changes of the readings, averaged over the possible causes of each effect in a model.
 
@@ -71,7 +71,7 @@ def average_over_explanations(
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.hypotheses, refit.effects, strict=True)]
-    space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_with(refitted))
+    space, linear = searcher.residual_space, first_order_reading_change(searcher, searcher.model_with(refitted))
     points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings_of_alternatives):
@@ -99,12 +99,12 @@ def average_over_explanations(
 
 
 def _max_subtracted_fraction_of_target_shifts(
-    adjustment: Adjustment, target_shifts: Floats, explanation_deviations: Floats
+    adjustment: Adjustment, target_shifts: Floats, weighted_deviations_by_explanation: Floats
 ) -> float:
     """Largest fraction of a shift of the targets that can be subtracted with a small risk of larger coordinate errors.
 
-    `target_shifts` (T, 3) [m] are the shifts of T targets. `explanation_deviations` (k, T, 3) [m] are the weighted
-    differences of the shifts by each of k possible causes from their mean.
+    `target_shifts` (T, 3) [m] are the shifts of T targets. `weighted_deviations_by_explanation` (k, T, 3) [m] are the
+    weighted differences of the shifts by each of k possible causes from their mean.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
@@ -113,13 +113,16 @@ def _max_subtracted_fraction_of_target_shifts(
     shift_vector = np.zeros(adjustment.solution.system.design.shape[1])
     shift_vector[problem.unknowns.target_columns.ravel()] = shift
     deviations_along_shift = (
-        np.nan_to_num(explanation_deviations).reshape(len(explanation_deviations), len(shift)) @ shift
+        np.nan_to_num(weighted_deviations_by_explanation).reshape(len(weighted_deviations_by_explanation), len(shift))
+        @ shift
     )
     spread = float(
         shift_vector @ adjustment.factorised_normals.multiply_by_covariance(shift_vector[:, None])[:, 0]
         + deviations_along_shift @ deviations_along_shift
     )
-    noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(explanation_deviations**2))
+    noise = float(
+        np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(weighted_deviations_by_explanation**2)
+    )
     return max_subtracted_shift_fraction(float(shift @ shift), spread, noise)
 
 
@@ -158,7 +161,11 @@ def max_subtracted_shift_fraction(
 
 
 def alternative_probabilities_and_reading_changes(
-    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis, ranking: Ranking, temperature: float
+    searcher: Searcher,
+    reduced_model: EffectModel,
+    selected_hypothesis: Hypothesis,
+    ranking: HypothesisRanking,
+    temperature: float,
 ) -> tuple[Floats, Floats]:
     """Probabilities (k,) of k possible causes, and the change (k, m) of m whitened readings by each cause.
 
@@ -173,7 +180,9 @@ def alternative_probabilities_and_reading_changes(
         (h, p) for h, p in zip(ranking.hypotheses, rest_of, strict=True) if p > MIN_PROBABILITY_OF_AVERAGED_EXPLANATION
     ]
     other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected_hypothesis.key]
+    other_models = [
+        (h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.effect_key != selected_hypothesis.effect_key
+    ]
     none += sum(p for h, p in zip(ranking.hypotheses, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
     instances = _hypotheses_at_probable_shapes(searcher, reduced_model, selected_hypothesis)
@@ -189,7 +198,7 @@ def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
 
 
 def _hypotheses_at_probable_shapes(
-    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis
+    searcher: Searcher, reduced_model: EffectModel, selected_hypothesis: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
     """Copies of a hypothesis with its most probable shape parameters, and the probability of each copy.
 
@@ -199,7 +208,7 @@ def _hypotheses_at_probable_shapes(
     shapes = (
         []
         if isinstance(selected_hypothesis.effect, EmpiricalLaw)
-        else shape_constants_nodes(
+        else shape_parameter_nodes(
             searcher.evidence_calculator, selected_hypothesis.effect, reduced_model, {}, uses_search_prior=True
         )
     )
@@ -214,22 +223,24 @@ def _hypotheses_at_probable_shapes(
     ]
 
 
-def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
+def first_order_reading_change(searcher: Searcher, model: EffectModel) -> Floats:
     """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
     if not model.hypotheses:
-        return np.zeros(searcher.space.n_equations)
+        return np.zeros(searcher.residual_space.n_equations)
     coefficient_means = wide_prior_posterior(
         *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]
-    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
+    change: Floats = (
+        np.hstack([searcher.residual_space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
+    )
     return change
 
 
-def expected_reading_change(searcher: Searcher, reduced_model: Model, hypothesis: Hypothesis) -> Floats:
+def expected_reading_change(searcher: Searcher, reduced_model: EffectModel, hypothesis: Hypothesis) -> Floats:
     """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given effects of `reduced_model`."""
     moments = searcher.evidence_calculator.grams_and_scores([hypothesis.effect], reduced_model)[0]
     change: Floats = (
-        searcher.space.whitened_design(hypothesis.effect)
+        searcher.residual_space.whitened_design(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]
     )
     return change

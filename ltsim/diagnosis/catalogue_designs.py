@@ -19,7 +19,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 from ltsim.diagnosis.evidence import (
-    MAX_LOG_EVIDENCE_DEFICIT,
+    MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION,
     log_mean_exp_by_group,
     simulated_log_evidence,
     size_factor_to_noise_level,
@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, gram_of_rows
 from ltsim.diagnosis.prior import log_prior_by_base_rate
-from ltsim.diagnosis.shape_constants import are_distinct
+from ltsim.diagnosis.shape_parameters import are_distinct
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -65,7 +65,7 @@ def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str]
 
 
 @dataclass(frozen=True)
-class EffectGroup:
+class EffectDesignGroup:
     """Group of h effects with the same number k of parameters, whose design columns are stored in one matrix.
 
     The matrix is sparse, or dense on the r observation equations that the effects change.
@@ -109,7 +109,7 @@ class EffectGroup:
             )
         return products.reshape(effect_range.stop - effect_range.start, self.n_parameters, count)
 
-    def with_rows_scaled(self, row_factors: Floats32) -> EffectGroup:
+    def with_rows_scaled(self, row_factors: Floats32) -> EffectDesignGroup:
         """Copy of the group whose observation equations are multiplied by factors (m,), for other weights."""
         weight = self.row_factors * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
@@ -146,9 +146,9 @@ class CatalogueDesigns:
 
     effects: list[CandidateEffect]
     """All h variants of catalogue effects that change at least one reading of the recording."""
-    groups: list[EffectGroup]
+    groups: list[EffectDesignGroup]
     """Groups of effects with the same number of parameters and the same form of storage (sparse or dense)."""
-    families: tuple[str, ...]
+    family_names: tuple[str, ...]
     """Names of the families, which are the names of the catalogue effects."""
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
@@ -158,26 +158,26 @@ class CatalogueDesigns:
     """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, by which design columns are divided."""
 
     @cached_property
-    def log_family_prior(self) -> Floats:
+    def log_prior_by_family(self) -> Floats:
         """Log prior probability (families,) of each catalogue effect, summed over all its variants."""
-        return log_prior_by_base_rate("named", self.families)
+        return log_prior_by_base_rate("named", self.family_names)
 
-    def log_prior_of_family(self, family: str) -> float:
+    def log_prior_of_family(self, family_name: str) -> float:
         """Log prior probability of the catalogue effect named `family_name`, summed over all its variants.
 
         It is defined also for effects that the search does not try, such as wrong readings in a large recording.
         """
-        names = self.families if family in self.families else (*self.families, family)
-        return float(log_prior_by_base_rate("named", names)[names.index(family)])
+        names = self.family_names if family_name in self.family_names else (*self.family_names, family_name)
+        return float(log_prior_by_base_rate("named", names)[names.index(family_name)])
 
     def hypotheses_of_effects(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
         """Hypotheses for the given catalogue effects; effects that are not possible in the recording are left out."""
-        n_places = np.bincount(self.family_indices, minlength=len(self.families))
-        prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
+        n_places = np.bincount(self.family_indices, minlength=len(self.family_names))
+        prior = dict(zip(self.family_names, self.log_prior_by_family - np.log(n_places), strict=True))
         return tuple(Hypothesis(e, float(prior[e.name]), 0.0, e.name) for e in effects if e.name in prior)
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
+    def from_residual_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
         """Design matrices of those of the given effects that change a reading; `space` is the residual space."""
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Floats32]]] = {}
@@ -246,7 +246,7 @@ class CatalogueDesigns:
         Gram matrix is not reduced, because the difference could vanish.
         """
         values = np.zeros(len(self.effects))
-        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.families), null_ensemble.n_trials)
+        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.family_names), null_ensemble.n_trials)
         screened_groups = []
         for group in self.groups:
             grams = []
@@ -276,7 +276,7 @@ class CatalogueDesigns:
         The range scale is included, because a network without a known length absorbs it completely. `calibrate` reports
         the other instrument constants.
         """
-        families: list[list[Effect]] = [[] for _ in self.families]
+        families: list[list[Effect]] = [[] for _ in self.family_names]
         for family, effect in zip(self.family_indices.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
             families[family].append(effect)
@@ -293,7 +293,7 @@ class CatalogueDesigns:
         """
         chosen = [int(effect_indices[0])]
         for i in effect_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
-            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT
+            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION
             if is_far_behind or len(chosen) == MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT:
                 break
             if all(are_distinct(self.effects[int(i)], self.effects[j]) for j in chosen):
@@ -306,7 +306,7 @@ class CatalogueDesigns:
         `log_evidences` (h, ...) are those of all h variants.
         """
         return (
-            log_mean_exp_by_group(log_evidences, self.family_indices, len(self.families))
+            log_mean_exp_by_group(log_evidences, self.family_indices, len(self.family_names))
             if self.effects
             else log_evidences
         )
@@ -368,16 +368,18 @@ def _with_size_raised_to_noise(
 
 def _dense_group(
     n_parameters: int, effect_indices: Sequence[int], transposed_designs: Floats32, row_indices: Ints
-) -> EffectGroup:
+) -> EffectDesignGroup:
     """Group of h effects with k parameters and `transposed_designs` (h, k, r) for r equations `row_indices` (r,)."""
     products, weight = gram_of_rows(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
     flattened = transposed_designs.reshape(-1, len(row_indices))
-    return EffectGroup(
+    return EffectDesignGroup(
         n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
     )
 
 
-def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int) -> EffectGroup:
+def _sparse_group(
+    n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int
+) -> EffectDesignGroup:
     """Group of effects with k parameters each that change only a few of the `n_rows` observation equations.
 
     `indexed_designs` has the index, the r nonzero rows and the transposed design (k, r) of each effect.
@@ -392,6 +394,6 @@ def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, 
     nonzero_values = np.concatenate([transposed_designs.ravel() for _, _, transposed_designs in indexed_designs])
     transposed_designs = sp.csr_array((nonzero_values, indices, ends), (len(indexed_designs) * n_parameters, n_rows))
     weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in indexed_designs])
-    return EffectGroup(
+    return EffectDesignGroup(
         n_parameters, effect_indices, slice(None), transposed_designs, weight, products, np.zeros_like(products)
     )

@@ -26,7 +26,7 @@ from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
-N_FOLDS = 5
+N_CROSS_VALIDATION_FOLDS = 5
 """Number of folds of the cross-validation, a usual value; each search uses 80 % of the readings."""
 
 
@@ -68,7 +68,7 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
         Search on the same readings. Without a search, `rms_with_model` of the result is None.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
-    groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
+    groups, pointing = random_fold_row_indices(space, seed), np.nonzero(space.is_used_reading)[0]
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
         np.add.at(
             before, pointing[rows], _normalised_errors_on_fold(space.whitened_residuals[rows], values, vectors) ** 2
@@ -88,12 +88,14 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     return HeldOutErrors(rms_before, float(np.sqrt(after.sum() / count)), float(gains.sum()), sigma)
 
 
-def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
+def random_fold_row_indices(space: ResidualSpace, seed: int) -> list[Ints]:
     """Indices of the used readings in each random fold; pointings from one set-up to one target share a fold."""
     pointing, sightings = np.nonzero(space.is_used_reading)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
-    fold_of_pair = random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
-    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
+    fold_of_pair = (
+        random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_CROSS_VALIDATION_FOLDS
+    )
+    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_CROSS_VALIDATION_FOLDS))
     return [rows for rows in row_folds if len(rows)]
 
 

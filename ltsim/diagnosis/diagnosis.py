@@ -46,7 +46,7 @@ class AveragedTargets(ValueEquality):
     covariance: Floats
     """Covariance (T, 3, 3) [m^2] of the coordinates of each of T targets, with the variance between the possible
     causes."""
-    explanation_deviations: Floats
+    weighted_deviations_by_explanation: Floats
     """Weighted differences (k, T, 3) [m] of the coordinates of T targets from their mean, for each of k possible
     causes.
 

@@ -234,7 +234,7 @@ N_EXACTLY_EVALUATED_HYPOTHESES = 7
 """Number of hypotheses of each kind (catalogue effects, noise hypotheses, empirical laws) whose evidence is computed
 without approximation, to limit the computing time. They are those with the largest approximate log evidence. A
 screening returns the same number of laws for each combination of stations and targets."""
-MAX_LOG_EVIDENCE_DEFICIT = 10.0
+MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
 """Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
 computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
 shape parameters), or a product of an empirical law and a second factor."""
@@ -294,13 +294,13 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
     return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR_TO_NOISE_LEVEL), 1.0)
 
 
-MIN_SQUARED_SHIFT_FRACTION = 0.01
+MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE = 0.01
 """Smallest fraction of the squared shift of all readings by an effect that an observable must have, so that the effect
 is reported to act on this observable."""
-MIN_SQUARED_PROJECTED_SHIFT_FRACTION = 0.1
+MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE = 0.1
 """Smallest fraction of the squared shift of all residuals by an effect that an observable must have, so that the effect
-is reported to act on this observable. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a
-shift of one observable over the other observables."""
+is reported to act on this observable. It is larger than `MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the
+adjustment spreads a shift of one observable over the other observables."""
 
 
 def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
@@ -309,8 +309,11 @@ def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, project
     `is_used_reading` (n, 3) flags the r used readings of n pointings. `shift` (r,) is the whitened shift of these
     readings by the effect, and `projected_shift` (r,) its projection onto the residual space.
     """
-    active = (_squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION) & (
-        _squared_shift_fraction_by_observable(is_used_reading, projected_shift) >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION
+    active = (
+        _squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE
+    ) & (
+        _squared_shift_fraction_by_observable(is_used_reading, projected_shift)
+        >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE
     )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 

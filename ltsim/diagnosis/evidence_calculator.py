@@ -14,7 +14,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients, log_evidence_of_effect
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
@@ -22,7 +22,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CandidateEffectT = TypeVar("CandidateEffectT", bound=CandidateEffect)
 """Type variable of a catalogue effect or an empirical law."""
-PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
+StationAndTargetNames = tuple[tuple[str, ...], tuple[str, ...]]
 """Names of the stations, and names of the targets, where an effect acts; empty for all."""
 
 
@@ -39,14 +39,14 @@ class EvidenceCalculator:
     """Calculator of Gram matrices, scores and log evidence of effects in the residual space of one adjustment."""
 
     def __init__(self, space: ResidualSpace) -> None:
-        self.space = space
+        self.residual_space = space
         self._pointing = np.nonzero(space.is_used_reading)[0]
         self._grams: dict[CandidateEffect, Floats] = {}
         self._changes_by_response: dict[str, Floats] = {}
-        self._rows: dict[PlaceKey, AffectedRows] = {}
+        self._rows: dict[StationAndTargetNames, AffectedRows] = {}
 
     def grams_and_scores(
-        self, effects: Sequence[CandidateEffect], conditioning_model: Model
+        self, effects: Sequence[CandidateEffect], conditioning_model: EffectModel
     ) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the effects of a model.
 
@@ -67,7 +67,7 @@ class EvidenceCalculator:
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
         return [moments[i] for i in range(len(effects))]
 
-    def log_evidence(self, effects: Sequence[CandidateEffect], conditioning_model: Model) -> Floats:
+    def log_evidence(self, effects: Sequence[CandidateEffect], conditioning_model: EffectModel) -> Floats:
         """Log Bayes factors (effects,) of effects against no effect, averaged over sizes.
 
         The effects of `conditioning_model` are estimated in addition.
@@ -87,7 +87,7 @@ class EvidenceCalculator:
         return log_evidences
 
     def refine_locally(
-        self, effects: Sequence[CandidateEffectT], conditioning_model: Model
+        self, effects: Sequence[CandidateEffectT], conditioning_model: EffectModel
     ) -> list[tuple[CandidateEffectT, float]]:
         """Most probable effect near each given effect, found by a local search, with its averaged log evidence.
 
@@ -99,7 +99,9 @@ class EvidenceCalculator:
         means, moving_indices = values.copy(), list(range(len(best)))
         for _ in range(MAX_ITERATIONS):
             candidates = {
-                i: neighbours for i in moving_indices if (neighbours := best[i].neighbours(self.space.sightings))
+                i: neighbours
+                for i in moving_indices
+                if (neighbours := best[i].neighbours(self.residual_space.sightings))
             }
             means[moving_indices] = values[moving_indices]
             if not candidates:
@@ -120,7 +122,7 @@ class EvidenceCalculator:
     def whitened_design(self, effect: CandidateEffect) -> Floats:
         """Whitened design matrix (m, k) of an effect with k parameters, for all m observation equations."""
         affected_rows = self._affected_rows(effect)
-        design_columns = np.zeros((self.space.n_equations, len(effect.parameters)))
+        design_columns = np.zeros((self.residual_space.n_equations, len(effect.parameters)))
         design_columns[affected_rows.row_indices] = self._stacked_designs([effect], affected_rows)[0]
         return design_columns
 
@@ -150,7 +152,7 @@ class EvidenceCalculator:
             elif place == ((), ()):
                 self._rows[place] = AffectedRows(slice(len(self._pointing)), self._pointing)
             else:
-                acting_rows = np.flatnonzero(effect.pointing_indicator(self.space.sightings)[self._pointing])
+                acting_rows = np.flatnonzero(effect.pointing_indicator(self.residual_space.sightings)[self._pointing])
                 self._rows[place] = AffectedRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
@@ -162,7 +164,7 @@ class EvidenceCalculator:
         """
         column_edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
-            return np.hstack([self.space.whitened_design(effect) for effect in effects]), column_edges
+            return np.hstack([self.residual_space.whitened_design(effect) for effect in effects]), column_edges
         designs = np.empty((len(affected_rows.pointing_indices), column_edges[-1]))
         response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, column_edges[:-1], column_edges[1:], strict=True):
@@ -171,9 +173,9 @@ class EvidenceCalculator:
             if name not in response_changes:
                 response_changes[name] = self._response_changes(name)[affected_rows.row_indices]
             moved = effect.change_by_shared_coefficient(
-                response_changes[name], self.space.sightings, affected_rows.pointing_indices
+                response_changes[name], self.residual_space.sightings, affected_rows.pointing_indices
             )
-            columns = effect.columns(self.space.sightings)[affected_rows.pointing_indices]
+            columns = effect.columns(self.residual_space.sightings)[affected_rows.pointing_indices]
             shape = len(designs), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=designs[:, low:high].reshape(shape))
         return designs, column_edges
@@ -185,8 +187,8 @@ class EvidenceCalculator:
         components.
         """
         if name not in self._changes_by_response:
-            self._changes_by_response[name] = self.space.whiten(
-                RESPONSE_AND_DESIGN_BY_NAME[name][1](self.space.sightings)
+            self._changes_by_response[name] = self.residual_space.whiten(
+                RESPONSE_AND_DESIGN_BY_NAME[name][1](self.residual_space.sightings)
             )
         return self._changes_by_response[name]
 
@@ -204,5 +206,5 @@ class EvidenceCalculator:
         if len(new_indices) < len(effects):
             columns = np.hstack([designs[:, column_edges[i] : column_edges[i + 1]] for i in new_indices])
         ends = np.append(0, np.cumsum(np.diff(column_edges)[new_indices]))
-        grams = self.space.projector.gram_matrices(columns, ends, affected_rows.row_indices)
+        grams = self.residual_space.projector.gram_matrices(columns, ends, affected_rows.row_indices)
         self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

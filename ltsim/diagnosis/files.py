@@ -47,7 +47,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     }
     covariance_due_to_air = joint_covariance_due_to_air(diagnosis.final_adjustment)
     covariance = coordinate_covariance_csv_text(
-        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=covariance_due_to_air
+        diagnosis.final_adjustment,
+        diagnosis.targets.weighted_deviations_by_explanation,
+        added_covariance=covariance_due_to_air,
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     if recording is not None:

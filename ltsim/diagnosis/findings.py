@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.global_test import GlobalTestResult
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, probability_and_equivalents
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking, probability_and_equivalents
 from ltsim.diagnosis.prior import P_EVEN_ODDS
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
@@ -59,7 +59,7 @@ class SelectedModelFit:
     """State of the model selection after its last step: adjustment, noise and search."""
     global_test: GlobalTestResult
     """Result of the global tests of the recording."""
-    model: Model
+    model: EffectModel
     """Set of the selected effects."""
     refit: Refit
     """Nonlinear adjustment with the selected effects in its model."""
@@ -69,7 +69,7 @@ class SelectedModelFit:
     """Log odds of the selected effects against no effect; negative if held-out readings contradict them, otherwise
     0."""
 
-    def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
+    def _ranking_of_alternatives(self, effect_index: int) -> HypothesisRanking:
         """Ranking of all alternatives to a selected effect, with noise hypotheses and an unmodelled cause.
 
         `effect_index` is the index of the effect in the model.
@@ -78,14 +78,14 @@ class SelectedModelFit:
         reduced_model = searcher.model_without(model, effect_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.selection_state.ranked_noise_changes(reduced_model)
+            for value, change in self.selection_state.ranked_noise_hypotheses(reduced_model)
         ]
         effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
-        redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.whitened_design(effect) @ coefficient_means
-        likeness = log_bayes_factor_of_discrepancy(searcher.space, shift, model.residual, redundancy)
+        redundancy = searcher.residual_space.redundancy - np.sum(model.basis**2, axis=1)
+        shift = searcher.residual_space.whitened_design(effect) @ coefficient_means
+        likeness = log_bayes_factor_of_discrepancy(searcher.residual_space, shift, model.residual, redundancy)
         ranking = searcher.ranking(reduced_model).with_further_hypotheses(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
@@ -105,7 +105,7 @@ class SelectedModelFit:
         return p_same + P_EVEN_ODDS * ranking.p_unmodelled_cause
 
     @cached_property
-    def rankings_of_alternatives(self) -> list[Ranking]:
+    def rankings_of_alternatives(self) -> list[HypothesisRanking]:
         """Rankings of the alternatives to each selected effect, one ranking per effect."""
         return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
@@ -141,7 +141,7 @@ class SelectedModelFit:
             )
             for i in range(len(hypotheses))
         ]
-        return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
+        return tuple(hypothesis.effect_key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
     def p_real(self, effect_index: int) -> float:
         """Probability that a selected effect is real under any name, and not the result of several wrong readings.
@@ -180,9 +180,9 @@ class SelectedModelFit:
         other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
-        redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
+        redundancy = searcher.residual_space.redundancy - np.sum(other_model.basis**2, axis=1)
         prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
-        rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
+        rival = log_evidence_of_wrong_readings(searcher.residual_space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
     def finding_of_effect(self, effect_index: int) -> Finding:
@@ -195,7 +195,7 @@ class SelectedModelFit:
             self.model,
             self.rankings_of_alternatives[effect_index],
         )
-        space, others = searcher.space, searcher.model_without(model, effect_index)
+        space, others = searcher.residual_space, searcher.model_without(model, effect_index)
         hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = (
@@ -261,7 +261,7 @@ class SelectedModelFit:
 
         `chi2_decreases` (m,) is the decrease in each of the m observation equations.
         """
-        use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
+        use, recording = self.selection_state.searcher.residual_space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), SQRT_MACHINE_EPSILON)
@@ -306,7 +306,7 @@ class SelectedModelFit:
         """
         scope = effect_scope(effect, default_observables)
         for tracker in instrument_places(
-            self.selection_state.searcher.space.sightings, self.selection_state.recording.instruments
+            self.selection_state.searcher.residual_space.sightings, self.selection_state.recording.instruments
         ):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, ChainErrorEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
@@ -346,7 +346,7 @@ class SelectedModelFit:
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of_effect(
-        self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
+        self, effect_index: int, hypothesis: Hypothesis, reduced_model: EffectModel
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape parameters of a selected effect.
 

@@ -8,7 +8,7 @@ from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.hypotheses import probability_and_equivalents
-from ltsim.diagnosis.instruments import ConstantContradiction
+from ltsim.diagnosis.instruments import InstrumentConstantContradiction
 from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import scope_with_names
@@ -66,7 +66,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
     )
 
 
-def contradicting_constant_finding(contradiction: ConstantContradiction) -> Finding:
+def contradicting_instrument_constant_finding(contradiction: InstrumentConstantContradiction) -> Finding:
     """Finding that reports an instrument constant that contradicts its reference.
 
     The reference is the other instruments, earlier calibrations, or a declared correction.

@@ -50,7 +50,7 @@ class GlobalTestResult:
 
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
     """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses."""
-    space = searcher.space
+    space = searcher.residual_space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise_hypotheses.log_evidence_by_family(
         searcher.null_ensemble.simulated_residuals, space.redundancy

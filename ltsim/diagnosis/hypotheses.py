@@ -20,7 +20,7 @@ from ltsim.diagnosis.schema import EquivalentEffect
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 
-MAX_LISTED_EQUIVALENTS = 3
+MAX_LISTED_EQUIVALENT_EFFECTS = 3
 """Largest number of equivalent effects (effects that cannot be excluded as the cause) that a finding lists."""
 
 
@@ -51,13 +51,13 @@ class Hypothesis:
         return self.name != "unknown"
 
     @property
-    def key(self) -> str:
+    def effect_key(self) -> str:
         """Text that identifies the effect with its stations, targets and shape parameters."""
         return repr(self.effect)
 
 
 @dataclass(frozen=True)
-class Model:
+class EffectModel:
     """Model: a set of hypotheses that are true at the same time, with the residuals after their estimation."""
 
     hypotheses: tuple[Hypothesis, ...]
@@ -70,7 +70,7 @@ class Model:
     """Whitened residuals (m,) of m observation equations in the adjustment without the effects of the model."""
 
     @classmethod
-    def from_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> Model:
+    def from_residual_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> EffectModel:
         """Model with the given hypotheses in the residual space `space` of an adjustment."""
         designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
@@ -118,7 +118,7 @@ class Model:
         is_visible = eigenvalues > NORMAL_EQUATIONS_TOLERANCE
         return (
             0.5
-            * RELATIVE_MODEL_ERROR
+            * RELATIVE_ERROR_OF_LAW_FORM
             * float(np.sum((eigenvectors.T @ (unit * score))[is_visible] ** 2 / eigenvalues[is_visible]))
         )
 
@@ -137,13 +137,13 @@ class Model:
         return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds - penalty
 
 
-RELATIVE_MODEL_ERROR = 0.05
+RELATIVE_ERROR_OF_LAW_FORM = 0.05
 """Fraction of the chi-square decrease by an empirical law that the decrease by a further effect must exceed. The form
 of a law is an approximation, and a second effect could otherwise describe the error of this form."""
 
 
 @dataclass(frozen=True)
-class Ranking:
+class HypothesisRanking:
     """Ranking of the hypotheses that may be added to a model, in the order of decreasing evidence."""
 
     hypotheses: tuple[Hypothesis, ...]
@@ -167,13 +167,13 @@ class Ranking:
             )
         return list(first.values())
 
-    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> Ranking:
+    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> HypothesisRanking:
         """Copy of the ranking that also contains the hypotheses `rivals`."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))
-        return Ranking(tuple(hypotheses), log_total)
+        return HypothesisRanking(tuple(hypotheses), log_total)
 
-    def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
+    def with_unmodelled_cause(self, log_bayes_factor: float) -> HypothesisRanking:
         """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
         return replace(
             self,
@@ -182,7 +182,7 @@ class Ranking:
             + float(np.log(P_UNMODELLED_CAUSE / (1.0 - P_UNMODELLED_CAUSE))),
         )
 
-    def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
+    def with_held_out_evidence(self, log_odds_of_model: float) -> HypothesisRanking:
         """Copy of the ranking in which all causes together have at most the odds of the model by held-out readings.
 
         `log_odds_of_model` are the log odds of the model against no effect; 0 if held-out readings do not contradict
@@ -263,11 +263,11 @@ def probability_and_equivalents(
         if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
     return probabilities.get(name, 0.0), tuple(
-        sorted(equivalents, key=lambda other: -other.probability)[:MAX_LISTED_EQUIVALENTS]
+        sorted(equivalents, key=lambda other: -other.probability)[:MAX_LISTED_EQUIVALENT_EFFECTS]
     )
 
 
-def _size_averaged_log_evidence(model: Model) -> float:
+def _size_averaged_log_evidence(model: EffectModel) -> float:
     """Log evidence of a model, averaged over the size factors t of its effects.
 
     The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. The sum

@@ -35,9 +35,9 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
+CHANGED_INSTRUMENT_CONSTANT_VARIANCE = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
-CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
+INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Name for users of the reference of an instrument constant, by whether the set-up declares it corrected."""
 
 
@@ -66,7 +66,7 @@ def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> Instrume
 
 
 @dataclass(frozen=True)
-class ConstantContradiction:
+class InstrumentConstantContradiction:
     """Contradiction between an instrument constant, of one or more instruments, and its reference."""
 
     instruments: tuple[str, ...]
@@ -89,10 +89,10 @@ class ConstantContradiction:
 
 
 @dataclass(frozen=True)
-class ContradictingConstants:
+class ContradictingInstrumentConstants:
     """Contradictions between the instrument constants of a recording and their references."""
 
-    contradictions: tuple[ConstantContradiction, ...] = ()
+    contradictions: tuple[InstrumentConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
     log_evidence_of_all_contradictions: float = 0.0
     """Log evidence, with prior odds, of all contradictions together; 0 without contradictions.
@@ -102,7 +102,7 @@ class ContradictingConstants:
 
 
 @dataclass(frozen=True)
-class ConstantChange:
+class InstrumentConstantChange:
     """Possible change of an instrument constant of one instrument, or of several instruments by the same amount."""
 
     instrument_indices: tuple[int, ...]
@@ -118,18 +118,18 @@ class ConstantChange:
 
 
 @dataclass(frozen=True)
-class ExpectedConstants:
+class ExpectedInstrumentConstants:
     """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
 
     mean: Floats
     """Expected values (I p,) of the p constants of I instruments, divided by their specifications."""
     covariance: Floats
     """Covariance (I p, I p) of the p constants of I instruments about `mean`, in units of their specifications."""
-    possible_changes: tuple[ConstantChange, ...]
+    possible_changes: tuple[InstrumentConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
 
-def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
+def find_contradicting_instrument_constants(adjustment: Adjustment) -> ContradictingInstrumentConstants:
     """Instrument constants that differ from those of other instruments, or from zero for a corrected instrument.
 
     If two instruments differ, the readings do not show which one is in error. An error of the constant that is farther
@@ -151,22 +151,22 @@ def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
     owners = [(i,) for i in np.flatnonzero(is_corrected | is_compared).tolist()] + (
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
-    reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
+    reference_texts = {group: INSTRUMENT_CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
     possible_changes = tuple(
-        ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
+        InstrumentConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
     )
-    return constants_contradicting_expectation(
-        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes)
+    return instrument_constants_contradicting_expectation(
+        adjustment, ExpectedInstrumentConstants(np.zeros(unit.size), covariance, possible_changes)
     )
 
 
-def constants_contradicting_expectation(
-    adjustment: Adjustment, expectation: ExpectedConstants
-) -> ContradictingConstants:
+def instrument_constants_contradicting_expectation(
+    adjustment: Adjustment, expectation: ExpectedInstrumentConstants
+) -> ContradictingInstrumentConstants:
     """Instrument constants that differ from `expectation`, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
 
     The evidence of each is given the other selected constants. The constants are selected by forward selection with
-    exchange, in which a selected constant has a prior variance of `CHANGED_INSTRUMENT_CONSTANT_PRIOR_VARIANCE_RATIO`.
+    exchange, in which a selected constant has a prior variance of `CHANGED_INSTRUMENT_CONSTANT_VARIANCE`.
     The readings alone give the normal equations N x = b of the constants x. With the expectation x ~ N(m, V), the
     information on a change of constant k is (V + N^-1)^-1[k, k].
     """
@@ -189,7 +189,7 @@ def constants_contradicting_expectation(
         score, weight = change_score_and_information(
             likelihood.information_matrix,
             score_vector,
-            expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO * given_changes.T @ given_changes,
+            expectation.covariance + CHANGED_INSTRUMENT_CONSTANT_VARIANCE * given_changes.T @ given_changes,
         )
         information_of_change, score_along = (
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
@@ -220,7 +220,7 @@ def constants_contradicting_expectation(
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_EQUATIONS_TOLERANCE:
             contradictions.append(k)
     if not contradictions:
-        return ContradictingConstants()
+        return ContradictingInstrumentConstants()
     changed = [
         np.log(share)
         + log_marginal_likelihood(
@@ -240,23 +240,23 @@ def constants_contradicting_expectation(
     ]
     p_values = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     entries = (
-        _contradiction_of_change(
+        _instrument_constant_contradiction(
             adjustment, expectation.possible_changes, odds_by_change[k], k, *map(float, (g * u, s * u, c))
         )
         for k, g, s, c, u in zip(contradictions, gap, sigma, p_values, units, strict=True)
     )
-    return ContradictingConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
+    return ContradictingInstrumentConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
 
 
-def _contradiction_of_change(
+def _instrument_constant_contradiction(
     adjustment: Adjustment,
-    constant_changes: Sequence[ConstantChange],
+    constant_changes: Sequence[InstrumentConstantChange],
     log_evidences: Floats,
     change_index: int,
     difference: float,
     sigma: float,
     p_value: float,
-) -> ConstantContradiction:
+) -> InstrumentConstantContradiction:
     """Contradiction for the change with the index `change_index`, with the alternatives to this change.
 
     `log_evidences` are the log evidences of all changes, `difference` and `sigma` the difference from the reference and
@@ -267,7 +267,7 @@ def _contradiction_of_change(
         i for i, other in enumerate(constant_changes) if other.instrument_indices == change.instrument_indices
     ]
     share = normalised_probabilities(log_evidences[alternative_indices])
-    return ConstantContradiction(
+    return InstrumentConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
         parameter=parameters[change.constant_index],
         difference_from_reference=difference,
@@ -301,7 +301,7 @@ those of standard deviations that mostly agree within a factor of two."""
 
 
 @dataclass(frozen=True)
-class HistoryExpectation:
+class ExpectationFromEarlierCalibrations:
     """Expected instrument constants of a recording, from earlier calibrations."""
 
     earlier_calibration_prior: EarlierCalibrationPrior
@@ -315,7 +315,7 @@ class HistoryExpectation:
     @classmethod
     def from_calibrations(
         cls, calibrations: EarlierCalibrationPrior, recording: Recording, construction: GeometricErrorModel
-    ) -> HistoryExpectation:
+    ) -> ExpectationFromEarlierCalibrations:
         """Expected instrument constants of a recording, from earlier calibrations.
 
         Raises RecordError for calibrations of other instruments or with another geometric error model.
@@ -331,13 +331,13 @@ class HistoryExpectation:
             calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
         )
 
-    def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
+    def find_contradicting_instrument_constants(self, adjustment: Adjustment) -> ContradictingInstrumentConstants:
         """Instrument constants that changed after the earlier calibrations, with sufficient log evidence."""
         parameters, unit = adjustment.construction.parameters, self.manufacturer_specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibration_prior.parameters]
         names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected_constants.covariance, unit, strict=True)]
-        possible_changes: list[ConstantChange] = []
+        possible_changes: list[InstrumentConstantChange] = []
         for i, block in enumerate(covariance):
             spreads = zip(
                 *self._additional_variances_and_log_weights(
@@ -346,13 +346,13 @@ class HistoryExpectation:
                 strict=True,
             )
             possible_changes += [
-                ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
+                InstrumentConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
                 for k, s in zip(parameter_indices, spreads, strict=True)
             ]
         expected_means = (self.expected_constants.mean / unit).ravel()
-        return constants_contradicting_expectation(
+        return instrument_constants_contradicting_expectation(
             adjustment,
-            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
+            ExpectedInstrumentConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
         )
 
     def _additional_variances_and_log_weights(

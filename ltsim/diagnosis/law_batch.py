@@ -173,7 +173,7 @@ class LawBatch:
             for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
         ]
 
-    def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
+    def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Laws with the largest evidence at each place, log of the summed evidence of all laws, and null values.
 
         The null values (trials,) are the same log for each simulated recording (trial) of the null ensemble.
@@ -299,12 +299,15 @@ class LawBatch:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Results of `LawBatch.best_laws_and_log_totals` for all batches, in order; shared columns are computed once."""
+    """Results of `LawBatch.best_laws_and_log_total_evidence` for all batches, in order.
+
+    Columns that several batches share are computed once.
+    """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):
         by_columns.setdefault(id(batch.regressor_columns), []).append(i)
     scores = {}
     for members in by_columns.values():
-        scores.update({i: law_batches[i].best_laws_and_log_totals(null_ensemble) for i in members})
+        scores.update({i: law_batches[i].best_laws_and_log_total_evidence(null_ensemble) for i in members})
         law_batches[members[0]].regressor_columns.release_memory()
     return [scores[i] for i in range(len(law_batches))]

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT, index_of_largest
+from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION, index_of_largest
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.switches import switched_forms
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.columns import N_MODES_IN_PRODUCT
@@ -49,13 +49,15 @@ def _is_of_time(regressor: Regressor) -> bool:
     return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
-def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
+def product_forms(
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
+) -> list[Hypothesis]:
     """List with the best product of an empirical law of readings and a second factor, after a local search.
 
     `form` is the law. The list is empty if no product has nearly the evidence of the law. For a switch it also contains
     other forms of the product. The effects of `conditioning_model` are estimated in addition.
     """
-    law, sightings = form.effect, calculator.space.sightings
+    law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)
     weights = [
         scalar_regressor(name, "power")
@@ -72,7 +74,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     top = index_of_largest(log_evidences)
     prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
-    if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT:
+    if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION:
         return []
     refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]

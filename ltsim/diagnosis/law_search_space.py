@@ -18,7 +18,12 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
-from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
+from ltsim.diagnosis.prior import (
+    PRIOR_PROBABILITY_BY_CAUSE_KIND,
+    PRIOR_PROBABILITY_BY_PLACE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
+)
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import (
     LawPlace,
@@ -42,7 +47,7 @@ from ltsim.physics.laws.regressor_library import (
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
-MAX_SEPARATE_PLACES = 400
+MAX_SEPARATE_SETUPS_OR_TARGETS = 400
 """Largest number of set-ups (or targets) with which empirical laws at single set-ups (or targets) are tried. The limit
 keeps the computing time short."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
@@ -159,7 +164,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
 
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of stations or targets at which separate laws are tried; empty for one name, and for too many names."""
-    return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
+    return names if 1 < len(names) <= MAX_SEPARATE_SETUPS_OR_TARGETS else ()
 
 
 class _LawBatchBuilder:
@@ -191,7 +196,11 @@ class _LawBatchBuilder:
         `place_kind` is a key of `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses (changed quantities) of the kinds
         `excluded_kinds` are not combined with the constant regressor.
         """
-        kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
+        kinds = (
+            PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS
+            if place_kind in ("target", "group")
+            else PRIOR_PROBABILITY_BY_RESPONSE_KIND
+        )
         for (kind, n_components), kind_responses in self._responses.items():
             n_joint_observables = len(
                 kind_responses[0][0].component_units
@@ -218,7 +227,9 @@ class _LawBatchBuilder:
                     if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_tried_for(kind, d))
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
-                weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
+                weight = (
+                    PRIOR_PROBABILITY_BY_PLACE_KIND[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
+                )
                 self._register_laws_with_prior_weight(
                     tuple(c for c, _ in kind_responses if _may_change_in_region(name, c)),
                     admissible_regressors,
@@ -288,7 +299,7 @@ class _LawBatchBuilder:
                     cells[same],
                     stacked[responses],
                     columns[key],
-                    np.log(CAUSE_PRIOR["law"] * share),
+                    np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"] * share),
                 )
             )
         n_entries = sum(

@@ -33,7 +33,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.noise_estimation import reml_gain_function, with_estimated_sizes
 from ltsim.diagnosis.noise_factors import VarianceFactors, VariancePatternWithSizes
 from ltsim.diagnosis.noise_groups import (
-    GroupNoiseChange,
+    GroupNoiseHypothesis,
     GroupNoiseMixture,
     RecordingNoiseLevel,
 )
@@ -54,7 +54,7 @@ from ltsim.scene.sightings import Sightings
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
 """Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
 groups of targets and regions of the hall."""
-N_FINE_GRID_SIZES = 48
+N_FINE_GRID_NOISE_SIZES = 48
 """Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
 
 
@@ -81,7 +81,7 @@ class NoiseHypothesisSet:
 
     hypotheses: list[NoiseHypothesis]
     """Hypotheses (h of them) with one size for all affected readings."""
-    families: tuple[str, ...]
+    family_names: tuple[str, ...]
     """Names of the families (kinds of changed noise level) of these hypotheses."""
     family_indices: Ints
     """Index (h,) of the family (kind of changed noise level) of each of h hypotheses."""
@@ -93,19 +93,19 @@ class NoiseHypothesisSet:
     parameter_basis: Floats | None
     """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None in a network that is
     too large for a basis."""
-    group_noise_changes: tuple[GroupNoiseChange, ...]
+    group_noise_hypotheses: tuple[GroupNoiseHypothesis, ...]
     """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
-    space: ResidualSpace
+    residual_space: ResidualSpace
     """Residual space of the adjustment."""
 
     @classmethod
-    def from_space(
-        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
+    def from_residual_space(
+        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_noise_below_declared: bool = True
     ) -> NoiseHypothesisSet:
         """Noise hypotheses in the residual space of an adjustment, from hypotheses with one size for all readings.
 
-        The noise level of the recording may be below the declared one if `allows_quieter`.
+        The noise level of the recording may be below the declared one if `allows_noise_below_declared`.
         """
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
@@ -115,17 +115,17 @@ class NoiseHypothesisSet:
             _noise_patterns(space, hypotheses, repeat_patterns),
             np.concatenate([np.nonzero(space.is_used_reading)[1], *other_groups]),
         )
-        names = tuple(dict.fromkeys(h.family for h in hypotheses))
+        names = tuple(dict.fromkeys(h.family_name for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
-        family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
+        family = np.array([index[h.family_name] for h in hypotheses], dtype=np.int64)
         basis = parameter_basis_of_small_network(space)
-        group_noise_changes = (
-            RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
+        group_noise_hypotheses = (
+            RecordingNoiseLevel.from_residual_space(space, allows_noise_below_declared=allows_noise_below_declared),
             *GroupNoiseMixture.candidates(space),
-            *NoiseWindows.from_space(space),
+            *NoiseWindows.from_residual_space(space),
         )
         return cls(
-            list(hypotheses), names, family, variance_factors, averaging_matrix, basis, group_noise_changes, space
+            list(hypotheses), names, family, variance_factors, averaging_matrix, basis, group_noise_hypotheses, space
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -158,18 +158,21 @@ class NoiseHypothesisSet:
         return np.vstack(
             [
                 patterns,
-                *(self._group_noise_log_evidence(change, residual, redundancy) for change in self.group_noise_changes),
+                *(
+                    self._group_noise_log_evidence(change, residual, redundancy)
+                    for change in self.group_noise_hypotheses
+                ),
             ]
         )
 
-    def _group_noise_log_evidence(self, change: GroupNoiseChange, residual: Floats, redundancy: Floats) -> Floats:
+    def _group_noise_log_evidence(self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,), with prior, of noise with a size for each group, for a batch of recordings."""
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
-    def log_prior_of_family(self, family: str) -> float:
+    def log_prior_of_family(self, family_name: str) -> float:
         """Log prior probability of a kind of noise hypothesis: a catalogue effect, or one outside the catalogue."""
         return log_prior_of_noise_family(
-            family, (*self.families, *(change.name for change in self.group_noise_changes))
+            family_name, (*self.family_names, *(change.name for change in self.group_noise_hypotheses))
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
@@ -177,8 +180,8 @@ class NoiseHypothesisSet:
 
         The ratios are those of h hypotheses for each recording (trial).
         """
-        share = np.array([self.log_prior_of_family(family) for family in self.families])
-        return log_mean_exp_by_group(ratio, self.family_indices, len(self.families)) + share[:, None]
+        share = np.array([self.log_prior_of_family(family) for family in self.family_names])
+        return log_mean_exp_by_group(ratio, self.family_indices, len(self.family_names)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
         """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
@@ -231,17 +234,17 @@ class NoiseHypothesisSet:
             np.where(candidate_parameter_values > 0.0, candidate_parameter_values, np.inf).min(axis=0),
             candidate_parameter_values.max(axis=0),
         )
-        reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
+        reml_gain = reml_gain_function(self.residual_space, self.residual_space.sigma, effect, residual, redundancy)
         log_evidences = log_sum_exp(
-            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_SIZES)])
-        ) - np.log(N_FINE_GRID_SIZES)
+            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_NOISE_SIZES)])
+        ) - np.log(N_FINE_GRID_NOISE_SIZES)
         subsets = [*log_evidences, log_evidences.sum()] if len(log_evidences) > 1 else log_evidences
         fine_evidence = log_sum_exp(np.array(subsets)) + np.log(is_same.sum() / len(subsets))
         return float(
             log_sum_exp(np.append(log_likelihood_ratios[~is_same], fine_evidence)) - np.log(len(hypothesis_indices))
         )
 
-    def ranked_noise_changes(
+    def ranked_noise_hypotheses(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of log evidence (with prior) and most probable hypothesis of each kind, by decreasing evidence.
@@ -258,7 +261,7 @@ class NoiseHypothesisSet:
             value = float(evidence[family])
             if rank < N_EXACTLY_EVALUATED_HYPOTHESES:
                 value = self._log_evidence_on_fine_grid(members, likeliest, ratio[members, 0], residual, redundancy)
-                value += self.log_prior_of_family(self.families[family])
+                value += self.log_prior_of_family(self.family_names[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
             ranking.append((value, self.hypotheses[likeliest]))
         for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in ranking))):
@@ -271,7 +274,11 @@ class NoiseHypothesisSet:
 
         The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """
-        space, residual, redundancy = self.space, self.space.whitened_residuals, self.space.redundancy
+        space, residual, redundancy = (
+            self.residual_space,
+            self.residual_space.whitened_residuals,
+            self.residual_space.redundancy,
+        )
         values, factors = [0.0], [np.ones(space.sigma.shape)]
         for hypothesis, value in self._ranked_patterns(residual, redundancy):
             sizes = np.array(with_estimated_sizes(space, space.sigma, hypothesis).sizes)
@@ -288,7 +295,7 @@ class NoiseHypothesisSet:
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
         """Most probable patterns of noise, each with its most probable size, and the log evidence summed over sizes."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
-        prior = np.array([self.log_prior_of_family(name) for name in self.families])
+        prior = np.array([self.log_prior_of_family(name) for name in self.family_names])
         prior -= np.log(np.bincount(self.family_indices))
         members: dict[CandidateNoiseEffect, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
@@ -304,7 +311,7 @@ class NoiseHypothesisSet:
 
     def ranked_group_noise(
         self, residual: Floats, redundancy: Floats, rival_log_evidence: float
-    ) -> list[tuple[GroupNoiseChange, float]]:
+    ) -> list[tuple[GroupNoiseHypothesis, float]]:
         """Pairs of a noise hypothesis for groups of readings or intervals of time, and its log evidence.
 
         Hypotheses limited to some targets, a station or a region are included if their log evidence is not far below
@@ -312,7 +319,7 @@ class NoiseHypothesisSet:
         """
         ranked_hypotheses = [
             (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
-            for change in self.group_noise_changes
+            for change in self.group_noise_hypotheses
         ]
         least = (
             max(rival_log_evidence, *(value for _, value in ranked_hypotheses))
@@ -329,7 +336,7 @@ class NoiseHypothesisSet:
         ]
 
     def _group_noise_log_evidence_of_residuals(
-        self, change: GroupNoiseChange, residual: Floats, redundancy: Floats
+        self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats
     ) -> float:
         """Log evidence, with prior, of noise with a size for each group, for the residuals (m,) of a recording."""
         return float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])

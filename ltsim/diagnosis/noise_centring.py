@@ -63,11 +63,11 @@ def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -
     return replace(hypothesis, sizes=(sigma,), size_sigmas=(sigma_of_estimate,), chi2_drop=2.0 * gain)
 
 
-def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHypothesis]) -> Recording:
+def with_declared_centring(recording: Recording, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Recording:
     """Recording whose set-up declares the centring errors among the given noise hypotheses."""
     further: list[CentringUncertainty] = [
         change.effect.as_declared_uncertainty(change.sizes[0])
-        for change in noise_changes
+        for change in selected_noise_hypotheses
         if isinstance(change.effect, CentringVariance)
     ]
     if not further:

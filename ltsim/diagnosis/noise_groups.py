@@ -43,7 +43,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 
 
 @dataclass(frozen=True)
-class GroupNoiseChange:
+class GroupNoiseHypothesis:
     """Noise hypothesis with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
@@ -77,7 +77,7 @@ class GroupNoiseChange:
         """
         raise NotImplementedError
 
-    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
+    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
         """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
 
         The result is empty for a hypothesis that cannot be limited in this way.
@@ -116,12 +116,15 @@ class GroupNoiseChange:
         return self.effect
 
 
-class RecordingNoiseLevel(GroupNoiseChange):
+class RecordingNoiseLevel(GroupNoiseHypothesis):
     """Noise level of the whole recording: one variance factor for all observables, or separate factors."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
-        """Noise level in the residual space of an adjustment; below the declared level only if `allows_quieter`."""
+    def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
+        """Noise level of a recording, from the residual space of its adjustment.
+
+        It is below the declared level only if `allows_noise_below_declared`.
+        """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
             (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_equations)
@@ -129,7 +132,9 @@ class RecordingNoiseLevel(GroupNoiseChange):
         return cls(
             level,
             group_indicators,
-            GROUP_VARIANCE_FACTORS if allows_quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
+            GROUP_VARIANCE_FACTORS
+            if allows_noise_below_declared
+            else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
         )
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -176,7 +181,7 @@ class RecordingNoiseLevel(GroupNoiseChange):
         return added
 
 
-class GroupNoiseMixture(GroupNoiseChange):
+class GroupNoiseMixture(GroupNoiseHypothesis):
     """Noise that is larger than declared for a fraction of the targets, of the stations, or of the readings."""
 
     @classmethod

@@ -14,7 +14,7 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 class NoiseHypothesis:
     """Noise hypothesis: an effect that changes the noise level, with tried or estimated sizes of its parameters."""
 
-    family: str
+    family_name: str
     """Name of the kind of noise hypothesis; it begins with `unknown` for a kind outside the catalogue."""
     effect: CandidateNoiseEffect
     """Effect that changes the noise level."""
@@ -37,7 +37,7 @@ class NoiseHypothesis:
     @property
     def log_prior(self) -> float:
         """Log prior probability of this kind of noise hypothesis: of the catalogue, or outside it."""
-        return log_prior_of_each_explanation("scatter" if self.family.startswith("unknown") else "noise", 1)
+        return log_prior_of_each_explanation("scatter" if self.family_name.startswith("unknown") else "noise", 1)
 
     @property
     def log_prior_times_occam_factor(self) -> float:
@@ -59,13 +59,13 @@ class NoiseHypothesis:
         )
 
 
-def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
+def log_prior_of_noise_family(family_name: str, family_names: Collection[str]) -> float:
     """Log prior probability of the kind of noise hypothesis `family_name` among the kinds `family_names`.
 
     A kind is a catalogue effect, or begins with `unknown`. The probability of a change in the catalogue is divided in
     proportion to the base rates of the effects.
     """
-    in_catalogue = [name for name in families if not name.startswith("unknown")]
-    if family.startswith("unknown"):
-        return log_prior_of_each_explanation("scatter", len(families) - len(in_catalogue))
-    return float(log_prior_by_base_rate("noise", in_catalogue)[in_catalogue.index(family)])
+    in_catalogue = [name for name in family_names if not name.startswith("unknown")]
+    if family_name.startswith("unknown"):
+        return log_prior_of_each_explanation("scatter", len(family_names) - len(in_catalogue))
+    return float(log_prior_by_base_rate("noise", in_catalogue)[in_catalogue.index(family_name)])

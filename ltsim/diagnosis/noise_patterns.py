@@ -27,7 +27,7 @@ NOISY_SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 NOISY_COVARIATE_QUANTILES = (0.25, 0.5, 0.75)
 """Thresholds above or below which the noise may be larger, as quantiles of a covariate other than a direction."""
-MIN_SECTOR_FRACTION = 0.05
+MIN_POINTING_FRACTION_OF_SECTOR = 0.05
 """Smallest fraction of the pointings inside a sector of directions, and also outside it, for which the sector is
 tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
@@ -86,7 +86,7 @@ def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, f
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
             inside = VarianceFunction(covariates=(name,), covariate_band=band).is_in_band(sightings)
-            if MIN_SECTOR_FRACTION <= inside.mean() <= 1.0 - MIN_SECTOR_FRACTION:
+            if MIN_POINTING_FRACTION_OF_SECTOR <= inside.mean() <= 1.0 - MIN_POINTING_FRACTION_OF_SECTOR:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += varying_column_names(sightings)

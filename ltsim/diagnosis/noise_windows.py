@@ -17,45 +17,45 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import index_of_largest, log_restricted_likelihood_ratio, normalised_probabilities
-from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseChange
+from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseHypothesis
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
-WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
+NOISY_WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in noisy time windows, over which the evidence is averaged."""
 NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance in noisy time windows, in steps of 15 %, over which its posterior mean is computed."""
-MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
+EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
-MAX_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
+MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
 """Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped, so that the product of two
 likelihood ratios is a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
 """Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
-WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
+NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
-OBSERVABLE_SET_INDICATORS = np.array(
+NOISY_OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
 """Flags (s, 3) of the observables in each of s sets of observables that may have larger noise at the same time."""
 
 
 @dataclass(frozen=True)
-class NoiseWindows(GroupNoiseChange):
+class NoiseWindows(GroupNoiseHypothesis):
     """Larger noise in time windows; a group of readings is one observable in one step of the Markov chain."""
 
     step_edge_times: Floats
     """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
-    space: ResidualSpace
+    residual_space: ResidualSpace
     """Residual space of the adjustment."""
     n_tried_places: int = 1
     """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
     noise in the whole network."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
+    def from_residual_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
         """Hypothesis of larger noise in time windows; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
@@ -75,7 +75,7 @@ class NoiseWindows(GroupNoiseChange):
             cls(
                 VarianceFunction(covariates=("time",), covariate_band=(step_edge_times[0], step_edge_times[-1])),
                 group_indicators,
-                WINDOW_VARIANCE_FACTORS,
+                NOISY_WINDOW_VARIANCE_FACTORS,
                 step_edge_times,
                 space,
             ),
@@ -93,17 +93,20 @@ class NoiseWindows(GroupNoiseChange):
         recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         shape = len(self.step_edge_times) - 1, len(OBSERVABLES), -1
-        squares = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
-        share = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ redundancy).reshape(shape)
+        squares = NOISY_OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
+        share = NOISY_OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ redundancy).reshape(shape)
         ratios = log_restricted_likelihood_ratio(
             squares[:, :, None], share[:, :, None], self.variance_factor_grid[:, None]
         )
-        return np.clip(ratios, -MAX_STEP_LOG_LIKELIHOOD_RATIO, MAX_STEP_LOG_LIKELIHOOD_RATIO)
+        return np.clip(ratios, -MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO, MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO)
 
     @property
     def _state_change_probabilities(self) -> Floats:
-        """Probability of a change of state from one step of the chain to the next, for each of `MEAN_WINDOW_COUNTS`."""
-        return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
+        """Probabilities of a change of state from a step of the chain to the next, one per expected number of windows.
+
+        The expected numbers of noisy windows are `EXPECTED_NOISY_WINDOW_COUNTS`.
+        """
+        return np.minimum(2.0 * EXPECTED_NOISY_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
@@ -148,7 +151,7 @@ class NoiseWindows(GroupNoiseChange):
                 * noisy
                 / (forward_probabilities[step, 0] * quiet + forward_probabilities[step, 1] * noisy)
             )
-            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_SET_INDICATORS
+            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ NOISY_OBSERVABLE_SET_INDICATORS
             noisy = noisy * np.exp(logs[step])
             quiet, noisy = quiet + p_change * (noisy - quiet), noisy + p_change * (quiet - noisy)
             quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
@@ -169,14 +172,14 @@ class NoiseWindows(GroupNoiseChange):
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
         """Time windows of larger noise limited to the group of targets, set-up or region with the largest evidence."""
-        s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
+        s, windows = self.residual_space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
         ]
         places += [replace(windows, stations=(name,)) for name in s.station_names if len(s.station_names) > 1]
         places += [
             replace(windows, region=region, covariates=("time", *region.bounded_axes))
-            for region in candidate_regions(s, WINDOW_REGION_SHAPES)
+            for region in candidate_regions(s, NOISY_WINDOW_REGION_SHAPES)
         ]
         if not places:
             return ()
@@ -188,14 +191,16 @@ class NoiseWindows(GroupNoiseChange):
         whole = replace(
             place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])
         )
-        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.is_used_reading]
+        is_noisy = (whole.variance(s, self.residual_space.sigma, np.ones(1)) > self.residual_space.sigma**2)[
+            self.residual_space.is_used_reading
+        ]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         group_indicators = sp.csr_array(self.group_indicators @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
-        space = self.space
+        space = self.residual_space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
             space.is_used_reading
         ] - 1.0

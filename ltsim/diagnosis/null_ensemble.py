@@ -41,7 +41,7 @@ class NullEnsemble:
     The scores of a design matrix are its products with the residuals of the recording and of simulated recordings.
     """
 
-    space: ResidualSpace
+    residual_space: ResidualSpace
     """Residual space of the adjustment, with m observation equations."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
@@ -60,7 +60,7 @@ class NullEnsemble:
     """
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
+    def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble of a residual space without effects, with `n_trials` recordings simulated from `seed`."""
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
@@ -91,7 +91,7 @@ class NullEnsemble:
     @cached_property
     def _row_of_reading(self) -> Ints:
         """Index (n, 3) of the observation equation of each reading of n pointings; 0 for unused readings."""
-        use = self.space.is_used_reading
+        use = self.residual_space.is_used_reading
         row_of_reading = np.zeros(use.shape, dtype=np.int64)
         row_of_reading[use] = np.arange(int(use.sum()))
         return row_of_reading

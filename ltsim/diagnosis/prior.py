@@ -18,7 +18,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.physics.effects import find_effect
 
-CAUSE_PRIOR = {
+PRIOR_PROBABILITY_BY_CAUSE_KIND = {
     "named": 0.53,
     "law": 0.3,
     "noise": 0.095,
@@ -26,7 +26,7 @@ CAUSE_PRIOR = {
     "constant": PRIOR_OF_WRONG_INSTRUMENT_CONSTANT,
 }
 """Prior probability of each kind of cause, given that there is a cause."""
-CAUSE_TEXTS = {
+CAUSE_KIND_DESCRIPTIONS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
     "noise": "a change of the noise that the catalogue contains",
@@ -44,9 +44,9 @@ the effect or law that it resembles; the components of a law have a fixed ratio.
 MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED_CAUSE * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled
 cause."""
-PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
+PRIOR_PROBABILITY_BY_PLACE_KIND = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place (set-up, instrument, target and so on) where an empirical law acts."""
-RESPONSE_PRIOR = {
+PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
     "reading": 0.5,
     "instrument": 0.17,
     "circle": 0.03,
@@ -57,13 +57,13 @@ RESPONSE_PRIOR = {
 }
 """Prior probability of each kind of response, the quantity that an empirical law changes. An unknown error mostly
 affects only a reading. If all targets seem to move, it is more probable that the stands move."""
-RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
+PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
 """Prior probability of each kind of quantity (response) that an empirical law changes if it acts at some targets only.
 Mostly the target itself changes, because an error of the instrument does not depend on the target."""
-PRIOR_WEIGHT_BY_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
+PRIOR_WEIGHT_BY_LAW_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior weights of the functional forms that an empirical law may have. The weights are divided by their sum over the
 forms that are possible for the law. The most probable forms are a curve and a formula."""
-P_RARE_FORM = 0.1
+P_RARE_LAW_FORM = 0.1
 """Prior probability of each rarer form of an empirical law: a few steps and ramps; a law that is switched on and off;
 separate coefficients at each set-up; a law at one set-up alone, except for the changed parts in
 `P_SINGLE_SET_UP_BY_CHANGED_PART`."""
@@ -85,7 +85,7 @@ def log_prior_of_each_explanation(cause_kind: str, n_explanations: int) -> float
 
     `cause_kind` is a key of `PRIOR_PROBABILITY_BY_CAUSE_KIND`.
     """
-    return float(np.log(CAUSE_PRIOR[cause_kind] / max(n_explanations, 1)))
+    return float(np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND[cause_kind] / max(n_explanations, 1)))
 
 
 def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
@@ -99,8 +99,11 @@ def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
 
 def prior_table_rows() -> Iterator[tuple[str, float]]:
     """Pairs of description and prior probability of every kind of cause; the probabilities add up to one."""
-    for kind, part in CAUSE_PRIOR.items():
+    for kind, part in PRIOR_PROBABILITY_BY_CAUSE_KIND.items():
         if kind != "law":
-            yield CAUSE_TEXTS[kind], part
+            yield CAUSE_KIND_DESCRIPTIONS[kind], part
             continue
-        yield from ((f"{CAUSE_TEXTS[kind]}: {where}", part * share) for where, share in PLACE_PRIOR.items())
+        yield from (
+            (f"{CAUSE_KIND_DESCRIPTIONS[kind]}: {where}", part * share)
+            for where, share in PRIOR_PROBABILITY_BY_PLACE_KIND.items()
+        )

@@ -14,8 +14,8 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.evidence import WIDE_PRIOR_SIGMA_FACTOR, log_restricted_likelihood
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.instruments import ConstantContradiction
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
+from ltsim.diagnosis.instruments import InstrumentConstantContradiction
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses, with_declared_centring
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
@@ -50,11 +50,11 @@ class SelectionState:
     larger than declared."""
     reading_sigmas: Floats
     """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses."""
-    space: ResidualSpace
+    residual_space: ResidualSpace
     """Residual space of the adjustment with the present weights."""
-    noise_changes: tuple[NoiseHypothesis, ...] = ()
+    selected_noise_hypotheses: tuple[NoiseHypothesis, ...] = ()
     """Noise hypotheses that have been selected."""
-    earlier_designs: CatalogueDesigns | None = None
+    earlier_catalogue_designs: CatalogueDesigns | None = None
     """Design matrices of the most recent search in an earlier state; None before the first search."""
 
     @classmethod
@@ -87,35 +87,40 @@ class SelectionState:
         It uses the design matrices of an earlier search, with other weights, if the observation equations are the same.
         Only the first search of a recording has a p-value.
         """
-        earlier = self.earlier_designs
-        is_reusable = earlier is not None and earlier.n_equations == self.space.n_equations
+        earlier = self.earlier_catalogue_designs
+        is_reusable = earlier is not None and earlier.n_equations == self.residual_space.n_equations
         return Searcher(
-            self.space,
+            self.residual_space,
             self.seed,
-            n_simulated_recordings(self.space, self.false_alarm_rate)
+            n_simulated_recordings(self.residual_space, self.false_alarm_rate)
             if earlier is None and self.false_alarm_rate
             else 0,
-            catalogue_designs=earlier.with_weights_of(self.space) if earlier is not None and is_reusable else None,
+            catalogue_designs=earlier.with_weights_of(self.residual_space)
+            if earlier is not None and is_reusable
+            else None,
             tests_ordinary_constants=self.tests_ordinary_constants,
         )
 
     @cached_property
     def noise_hypotheses(self) -> NoiseHypothesisSet:
         """Noise hypotheses in the residual space of the present adjustment."""
-        return self._noise_hypotheses(self.space)
+        return self._noise_hypotheses(self.residual_space)
 
     @property
-    def empty_model(self) -> Model:
+    def empty_model(self) -> EffectModel:
         """Model without effects."""
-        return Model.from_space((), self.space)
+        return EffectModel.from_residual_space((), self.residual_space)
 
     @property
     def recording(self) -> Recording:
         """Recording without blunders, whose set-up declares the centring errors among the selected noise hypotheses."""
-        return with_declared_centring(self.baseline_adjustment.recording, self.noise_changes)
+        return with_declared_centring(self.baseline_adjustment.recording, self.selected_noise_hypotheses)
 
     def refit(
-        self, effects: Sequence[CandidateEffect], sigma: Floats, noise_changes: Sequence[NoiseHypothesis] | None = None
+        self,
+        effects: Sequence[CandidateEffect],
+        sigma: Floats,
+        selected_noise_hypotheses: Sequence[NoiseHypothesis] | None = None,
     ) -> Refit:
         """Nonlinear adjustment with effects in the model and standard deviations `sigma` (n, 3) of n pointings.
 
@@ -123,13 +128,15 @@ class SelectionState:
         of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
         combinations. Centring errors among `noise_hypotheses` (by default all selected hypotheses) are in the model.
         """
-        noise_changes = self.noise_changes if noise_changes is None else noise_changes
-        if not (effects or noise_changes):
+        selected_noise_hypotheses = (
+            self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
+        )
+        if not (effects or selected_noise_hypotheses):
             return Refit(self.baseline_adjustment, (), ())
         old = self.baseline_adjustment
         adjusted = partial(
             adjust_from_state,
-            with_declared_centring(old.recording, noise_changes),
+            with_declared_centring(old.recording, selected_noise_hypotheses),
             old.construction,
             sigma=sigma,
             reading_mask=self.is_used_reading,
@@ -146,7 +153,7 @@ class SelectionState:
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def with_widened_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
+    def with_widened_priors(self, contradictions: Sequence[InstrumentConstantContradiction]) -> SelectionState:
         """State after an adjustment without the prior of the instrument constants that contradict their reference."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
@@ -168,44 +175,48 @@ class SelectionState:
     def _with_attributes(self, **attributes: object) -> SelectionState:
         """Copy of the state with other attributes, and with the design matrices of its search if there is one."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
-        designs = self.earlier_designs if searcher is None else searcher.catalogue_designs
-        return replace(self, earlier_designs=designs, **attributes)  # type: ignore[arg-type]
+        designs = self.earlier_catalogue_designs if searcher is None else searcher.catalogue_designs
+        return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
         """State with the residual space of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
-        return self._with_attributes(space=ResidualSpace.from_adjustment(adjustment))
+        return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 
-    def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
+    def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
         They are sorted by decreasing evidence.
         """
-        redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        ranked = self.noise_hypotheses.ranked_noise_changes(model.residual, redundancy, model.basis)
-        for gain, hypothesis in log_evidence_and_centring_hypotheses(self.space.with_effects(model.effects)):
-            ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family), hypothesis))
+        redundancy = self.residual_space.redundancy - np.sum(model.basis**2, axis=1)
+        ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.basis)
+        for gain, hypothesis in log_evidence_and_centring_hypotheses(self.residual_space.with_effects(model.effects)):
+            ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family_name), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])
 
-    def with_noise_change(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
+    def with_noise_hypothesis(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State after the addition of a noise hypothesis, whose sizes are estimated with `effects` in the model.
 
         If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
         estimated together.
         """
-        new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.sigma, hypothesis)
-        if all(change.effect != new_change.effect for change in self.noise_changes):
-            return self._with_noise_changes((*self.noise_changes, new_change)).with_estimated_noise(effects)
-        noise_changes = [
+        new_change = with_estimated_sizes(
+            self.residual_space.with_effects(effects), self.residual_space.sigma, hypothesis
+        )
+        if all(change.effect != new_change.effect for change in self.selected_noise_hypotheses):
+            return self._with_selected_noise_hypotheses(
+                (*self.selected_noise_hypotheses, new_change)
+            ).with_estimated_noise(effects)
+        selected_noise_hypotheses = [
             change if change.effect != new_change.effect else change.sum_with(new_change)
-            for change in self.noise_changes
+            for change in self.selected_noise_hypotheses
         ]
-        return self._with_noise_changes(noise_changes).with_estimated_noise(effects)
+        return self._with_selected_noise_hypotheses(selected_noise_hypotheses).with_estimated_noise(effects)
 
-    def _with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> SelectionState:
+    def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
         """State with other selected noise hypotheses and the standard deviations of readings that follow from them."""
-        changed = self._with_attributes(noise_changes=tuple(noise_changes))
-        return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
+        changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
+        return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
 
     @property
     def log_evidence_of_noise(self) -> float:
@@ -214,8 +225,8 @@ class SelectionState:
         It is the restricted log likelihood of the present adjustment, plus for each hypothesis its log evidence minus
         its log likelihood ratio at the time of its selection.
         """
-        return log_restricted_likelihood(self.space.adjustment) + sum(
-            n.log_prior_times_occam_factor for n in self.noise_changes
+        return log_restricted_likelihood(self.residual_space.adjustment) + sum(
+            n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses
         )
 
     def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
@@ -225,7 +236,10 @@ class SelectionState:
         `log_evidence_of_noise`, the log evidence without these effects.
         """
         state = self.with_estimated_noise([h.effect for h in hypotheses])
-        return state.log_evidence_of_noise + Model.from_space(hypotheses, state.space).penalised_log_evidence
+        return (
+            state.log_evidence_of_noise
+            + EffectModel.from_residual_space(hypotheses, state.residual_space).penalised_log_evidence
+        )
 
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State with variance components estimated by REML (Foerstner 1979), with `effects` in the model.
@@ -239,14 +253,14 @@ class SelectionState:
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):
             estimates = state._noise_estimates(effects)
-            state = state._with_noise_changes(
+            state = state._with_selected_noise_hypotheses(
                 [
                     replace(
                         estimate,
                         chi2_drop=change.chi2_drop,
                         log_evidence=change.log_evidence + estimate.log_occam_factor - change.log_occam_factor,
                     )
-                    for estimate, change in zip(estimates, state.noise_changes, strict=True)
+                    for estimate, change in zip(estimates, state.selected_noise_hypotheses, strict=True)
                 ]
             )
         return state
@@ -260,12 +274,12 @@ class SelectionState:
         """
         space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
         estimates = list[NoiseHypothesis]()
-        for i, change in enumerate(self.noise_changes):
-            others, residual_space = [*estimates, *self.noise_changes[i + 1 :]], space
+        for i, change in enumerate(self.selected_noise_hypotheses):
+            others, residual_space = [*estimates, *self.selected_noise_hypotheses[i + 1 :]], space
             if isinstance(change.effect, CentringVariance):
                 adjustment = self.refit((), self.reading_sigmas, others).adjustment
                 residual_space = ResidualSpace.from_adjustment(adjustment).with_effects(effects)
-            estimates.append(with_estimated_sizes(residual_space, self._sigmas_with_noise_changes(others), change))
+            estimates.append(with_estimated_sizes(residual_space, self._sigmas_with_noise_hypotheses(others), change))
         return estimates
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
@@ -274,17 +288,19 @@ class SelectionState:
         Each selected noise hypothesis is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
-        for change in (n for n in self.noise_changes if not isinstance(n.effect, CentringVariance)):
-            others = self._sigmas_with_noise_changes([n for n in self.noise_changes if n is not change])
+        for change in (n for n in self.selected_noise_hypotheses if not isinstance(n.effect, CentringVariance)):
+            others = self._sigmas_with_noise_hypotheses([n for n in self.selected_noise_hypotheses if n is not change])
             space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
             factors *= self._noise_hypotheses(space).expected_variance_factors()
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
         """Noise hypotheses in the residual space `space`."""
-        quieter = not any(getattr(change.effect, "shared_error_repetition", "") for change in self.noise_changes)
-        return NoiseHypothesisSet.from_space(
-            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
+        quieter = not any(
+            getattr(change.effect, "shared_error_repetition", "") for change in self.selected_noise_hypotheses
+        )
+        return NoiseHypothesisSet.from_residual_space(
+            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_noise_below_declared=quieter
         )
 
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
@@ -295,14 +311,14 @@ class SelectionState:
         state = self._with_estimated_variances(effects)
         supported = [
             n
-            for n, change in zip(state.noise_changes, state._noise_estimates(effects), strict=True)
+            for n, change in zip(state.selected_noise_hypotheses, state._noise_estimates(effects), strict=True)
             if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
-        return state._with_noise_changes(supported).with_estimated_noise(effects)
+        return state._with_selected_noise_hypotheses(supported).with_estimated_noise(effects)
 
-    def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
+    def _sigmas_with_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses."""
         sigma, sightings = self.recording.sigma(), self.baseline_adjustment.sightings
-        for change in noise_changes:
+        for change in selected_noise_hypotheses:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))
         return sigma

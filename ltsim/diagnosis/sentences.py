@@ -144,7 +144,7 @@ def _place_suffix(scope: FindingScope) -> str:
     return f" {place_text(scope)}" if confined else ""
 
 
-def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
+def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the significant instrument constants of all instruments, the most significant first.
 
     If only a combination of constants is determined, it has the name of its first constant. The value is then an

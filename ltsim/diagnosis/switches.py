@@ -16,7 +16,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_regressors
@@ -68,7 +68,7 @@ def switched_forms(
     calculator: EvidenceCalculator,
     law: EmpiricalLaw,
     log_prior: float,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     *,
     refines_region: bool = True,
 ) -> list[Hypothesis]:
@@ -78,7 +78,7 @@ def switched_forms(
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
     false.
     """
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
     if len(edges) < N_TOGGLED_INTERVALS_AFTER_MAXIMUM:
         return []
@@ -101,7 +101,7 @@ def switched_forms(
 
 
 def _forms_with_formula_as_second_factor(
-    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
     """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve.
 
@@ -110,7 +110,7 @@ def _forms_with_formula_as_second_factor(
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
-        law.candidate_formulas(calculator.space.sightings)
+        law.candidate_formulas(calculator.residual_space.sightings)
         if any(f.kind == "smooth" for f in law.regressor.factors)
         else []
     )
@@ -123,14 +123,17 @@ def _forms_with_formula_as_second_factor(
 
 
 def _span_gram_and_score(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, step_regressors: Sequence[Regressor], conditioning_model: Model
+    calculator: EvidenceCalculator,
+    law: EmpiricalLaw,
+    step_regressors: Sequence[Regressor],
+    conditioning_model: EffectModel,
 ) -> SpanGramAndScore:
     """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next.
 
     `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
     addition.
     """
-    sightings, count = calculator.space.sightings, len(step_regressors)
+    sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
     gram, score = calculator.grams_and_scores([law.with_sum_of_steps(step_regressors)], conditioning_model)[0]

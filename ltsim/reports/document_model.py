@@ -32,11 +32,11 @@ Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result; it determines the colour of the result on a page."""
 HallView = Literal["3d", "floor-plan", "none"]
 """View of the hall in a section: interactive (`3d`), from above (`floor-plan`), or `none`."""
-MAX_UNFOLDED_ROWS = 30
+MAX_UNFOLDED_TABLE_ROWS = 30
 """Number of rows of a table above which the page shows only its title, until the title is clicked."""
-MAX_PRINTED_ROWS = 120
+MAX_PRINTED_TABLE_ROWS = 120
 """Number of rows (three pages) above which a table is not printed on paper."""
-MAX_TERMINAL_ROWS = 8
+MAX_TERMINAL_TABLE_ROWS = 8
 """Largest number of rows that a terminal prints of a table that starts folded on a page (only its title)."""
 MAX_RECOMMENDED_ACTIONS = 3
 """Largest number of next actions at the head of a page and on a terminal."""
@@ -103,12 +103,12 @@ class TableBlock:
     @property
     def is_too_long_to_print(self) -> bool:
         """True if the table has too many rows to be printed on paper."""
-        return len(self.rows) > MAX_PRINTED_ROWS
+        return len(self.rows) > MAX_PRINTED_TABLE_ROWS
 
     @property
     def is_folded(self) -> bool:
         """True if the page shows only the title of the table, until the title is clicked."""
-        return len(self.rows) > MAX_UNFOLDED_ROWS and self.is_foldable
+        return len(self.rows) > MAX_UNFOLDED_TABLE_ROWS and self.is_foldable
 
 
 @dataclass(frozen=True)
@@ -273,9 +273,9 @@ def _block_text(block: Block) -> str:
         case BulletListBlock():
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
         case TableBlock():
-            rows = block.rows[:MAX_TERMINAL_ROWS] if block.is_folded else block.rows
+            rows = block.rows[:MAX_TERMINAL_TABLE_ROWS] if block.is_folded else block.rows
             lines = [f"{block.title}:", _table_text(replace(block, rows=rows))]
-            lines += [f"and {len(block.rows) - MAX_TERMINAL_ROWS} more"] if block.is_folded else []
+            lines += [f"and {len(block.rows) - MAX_TERMINAL_TABLE_ROWS} more"] if block.is_folded else []
             return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 

@@ -27,9 +27,9 @@ from ltsim.reports.document_model import (
 )
 from ltsim.reports.formatting import natural_sort_key, typographic_text
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
-from ltsim.reports.sections.network import TRUTH_FILE, recording_section
+from ltsim.reports.sections.network import TRUTH_FILE_NAME, recording_section
 
-HEADLINES = {
+HEADLINE_BY_KIND_AND_ASSESSMENT = {
     ("Recording", "good"): "The readings agree with each other.",
     ("Recording", "bad"): "The readings do not agree with the declared set-up.",
     ("Calibration", "good"): "The calibration can be used.",
@@ -54,11 +54,11 @@ HEADLINES = {
 """Headline of a page by the kind of its first result and the assessment of that result."""
 
 
-PAGE_FILE = "report.html"
+REPORT_PAGE_FILE_NAME = "report.html"
 """Name of the HTML page in a folder of results."""
-CAMPAIGN_MANIFEST = "manifest.json"
+CAMPAIGN_MANIFEST_FILE_NAME = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
-FIRST_RESULT_FILES = ("diagnosis.json", "calibration.json")
+FIRST_RESULT_FILE_NAMES = ("diagnosis.json", "calibration.json")
 """Names of the result files that come first on a page; the first result determines the headline of the page."""
 UNREADABLE_SECTION_KIND = "Not readable"
 """Kind of a section that shows the error of a folder that cannot be read."""
@@ -82,8 +82,8 @@ RESULT_FILES_IN_PAGE_ORDER = (
     "diagnosis.json",
     "calibration.json",
     OBSERVATIONS_FILE,
-    *(k for k in SECTION_WRITERS if k not in FIRST_RESULT_FILES),
-    CAMPAIGN_MANIFEST,
+    *(k for k in SECTION_WRITERS if k not in FIRST_RESULT_FILE_NAMES),
+    CAMPAIGN_MANIFEST_FILE_NAME,
 )
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
@@ -92,7 +92,7 @@ def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Sectio
     """Section of the page for one part; raises RecordError, and InputError if packages are missing."""
     if page_part.result_file == OBSERVATIONS_FILE:
         return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
-    if page_part.result_file == CAMPAIGN_MANIFEST:
+    if page_part.result_file == CAMPAIGN_MANIFEST_FILE_NAME:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 
@@ -128,7 +128,7 @@ def document_of_folder(
         sections=sections,
         package_versions=package_versions(),
         header_lines=_header_lines(page_parts, sections, about or ReportHeader()),
-        headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
+        headline=HEADLINE_BY_KIND_AND_ASSESSMENT.get((first_section.kind, first_section.assessment), ""),
         next_actions=_recommended_actions(sections),
         simulation_notice=first_section.simulation_notice,
     )
@@ -211,7 +211,7 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
     folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only part.
     """
     shown_sources: set[Path | str | None] = set()
-    only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
+    only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE_NAME).is_file()
     for part in page_parts:
         source = part.recording or _recording_digest(part)
         hall_view: HallView = (

@@ -58,12 +58,12 @@ class Residuals:
         """Names of the stations in the order of their appearance."""
         return list(dict.fromkeys(self.station.tolist()))
 
-    def is_of_observable(self, observable: str) -> Bools:
+    def observable_mask(self, observable: str) -> Bools:
         """Mask (n,) of n readings, True for those of the observable with this name."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
-    def order_covariate(self) -> str:
+    def measurement_order_covariate(self) -> str:
         """Covariate of the order of measurement: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
@@ -73,7 +73,7 @@ class Residuals:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
-    def is_at_places(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+    def station_and_target_mask(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """Mask (n,) of n readings, True for those from the given stations to the given targets.
 
         An empty sequence means all stations or all targets.
@@ -168,7 +168,7 @@ def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Float
     if np.isfinite(incidence).any():
         covariates["incidence"] = incidence
     other_covariates = {name: column[rows] for name, column in sightings.covariates.items()}
-    order_covariate: dict[str, Floats] = (
+    measurement_order_covariate: dict[str, Floats] = (
         {"time": sightings.time[rows] / 60.0} if has_clock else {"row": (rows + 1).astype(np.float64)}
     )
-    return covariates | order_covariate | other_covariates
+    return covariates | measurement_order_covariate | other_covariates

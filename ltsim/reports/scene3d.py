@@ -22,9 +22,9 @@ FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
 """Largest number of correction arrows in a scene; if there are more, the longest arrows are drawn."""
-MAX_METRE_LINES = 200
+MAX_FLOOR_METRE_LINES = 200
 """Largest number of lines at full metres on the floor; a larger hall is drawn without them."""
-MAX_OMITTED_NAMES = 4
+MAX_LISTED_OMITTED_NAMES = 4
 """Largest number of names, omitted for lack of space, that the legend lists."""
 MAX_TARGET_LABELS = 60
 """Number of targets above which the names of the targets are not drawn."""
@@ -150,7 +150,7 @@ def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
     plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
     ends = workshop.floor_corners.min(axis=0), workshop.floor_corners.max(axis=0)
     metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
-    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRE_LINES:
+    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_FLOOR_METRE_LINES:
         grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.wall_corners):
@@ -359,7 +359,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if omitted_names:
-        legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_OMITTED_NAMES)}")
+        legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_LISTED_OMITTED_NAMES)}")
 
 
 def _facing_axes(direction: Floats) -> Floats:

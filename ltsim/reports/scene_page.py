@@ -21,7 +21,7 @@ from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 from ltsim.reports.formatting import typographic_text
 from ltsim.reports.workshop_scene import WorkshopScene
 
-PAGE_CSS = """
+SCENE_PAGE_CSS = """
 .content { position: fixed; inset: 0; touch-action: none; }
 .content canvas { touch-action: none; }
 body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
@@ -38,9 +38,9 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
 """Style sheet of the page with a 3D scene."""
-PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
+SCENE_PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
 """Elements for the head of the page: content security policy, and the name of ltsim as generator."""
-PAGE_HEAD += '<meta name="generator" content="ltsim">'
+SCENE_PAGE_HEAD += '<meta name="generator" content="ltsim">'
 
 
 N_COORDINATE_STEPS = 40_000
@@ -76,11 +76,11 @@ def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.Sce
     plotter.render()
     stream = io.StringIO()
     write_html(_zip_archive(_vtk_scene(plotter.render_window)), stream)
-    html = FAVICON_PATTERN.sub("data:,", stream.getvalue())
+    html = FAVICON_URL_PATTERN.sub("data:,", stream.getvalue())
     title = escape(as_printable(workshop.title or "Workshop"))
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
-    html = html.replace("<head>", f"<head>{PAGE_HEAD}", 1)
-    html = html.replace("</style>", PAGE_CSS + "</style>", 1)
+    html = html.replace("<head>", f"<head>{SCENE_PAGE_HEAD}", 1)
+    html = html.replace("</style>", SCENE_PAGE_CSS + "</style>", 1)
     html = html.replace("<body>", '<body><div class="content"></div>', 1)
     before, _, after = html.rpartition("</body>")
     return f"{before}{_legend_html(title, legend)}</body>{after}"
@@ -101,10 +101,10 @@ def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
     return "".join(html_parts)
 
 
-FAVICON_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
+FAVICON_URL_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
 """Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
-ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+ZIP_ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
 """Date of the entries of the archive with a scene, so that equal scenes give equal bytes."""
 
 
@@ -131,7 +131,7 @@ def _zip_archive(scene: dict[str, Any]) -> bytes:
     """Zip archive of a scene for the viewer, without dates."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        entry = zipfile.ZipInfo("index.json", ZIP_DATE)
+        entry = zipfile.ZipInfo("index.json", ZIP_ENTRY_DATE)
         entry.compress_type = zipfile.ZIP_DEFLATED
         archive.writestr(entry, json.dumps(scene))
     return stream.getvalue()

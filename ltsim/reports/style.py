@@ -49,7 +49,7 @@ TEXT_COLOUR_ON_LIGHT = "#23282c"
 TEXT_COLOUR_ON_DARK = "#fefefe"
 """Colour of text on a dark cell."""
 
-FIGURE_WIDTH = 4.9
+FIGURE_WIDTH_INCH = 4.9
 """Width of every figure [inch], at which text has nine pixels on a phone."""
 LEGEND_LINE_LENGTH = 75
 """Length of a line of a legend [characters]."""
@@ -116,7 +116,7 @@ class NotebookFigure(Figure):
 
 def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
     """Empty figure of a height [inch], without a window, whose `layout` places the axes automatically."""
-    return NotebookFigure(figsize=(FIGURE_WIDTH, height), layout=layout)
+    return NotebookFigure(figsize=(FIGURE_WIDTH_INCH, height), layout=layout)
 
 
 def new_panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
@@ -189,7 +189,7 @@ def write_at_right_of_rows(ax: Axes, positions: Floats, texts: Sequence[str]) ->
     right_axis.spines["right"].set_visible(False)
 
 
-LEGEND_LINE_HEIGHT = 0.2
+LEGEND_LINE_HEIGHT_INCH = 0.2
 """Height [inch] of a line of a legend."""
 
 
@@ -207,7 +207,7 @@ def n_legend_columns(labels: Sequence[str], max_columns: int) -> int:
 
 def legend_height(labels: Sequence[str], max_columns: int) -> float:
     """Height [inch] of a legend of labels in at most `max_columns` columns."""
-    return LEGEND_LINE_HEIGHT * -(
+    return LEGEND_LINE_HEIGHT_INCH * -(
         -len(labels) // n_legend_columns([shortened_name(label) for label in labels], max_columns)
     )
 

@@ -13,7 +13,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import ReportHeader
-from ltsim.reports.page import PAGE_FILE, UNREADABLE_SECTION_KIND, document_of_folder, page_html
+from ltsim.reports.page import REPORT_PAGE_FILE_NAME, UNREADABLE_SECTION_KIND, document_of_folder, page_html
 from ltsim.reports.workshop_scene import (
     WorkshopScene,
     workshop_from_recording,
@@ -170,7 +170,7 @@ def report(
     header = ReportHeader(**about) if isinstance(about, Mapping) else about
     recording_path = None if recording is None else Path(recording)
     target, content = (
-        Path(folder) / PAGE_FILE,
+        Path(folder) / REPORT_PAGE_FILE_NAME,
         document_of_folder(Path(folder), recording=recording_path, title=title, about=header),
     )
     for section in content.sections:

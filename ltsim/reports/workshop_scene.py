@@ -38,9 +38,9 @@ tripod.
 MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
 """Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall. The normal is
 then at most 75 degrees from the perpendicular. The value is a choice for drawing."""
-MAX_WALL_DEPTH_DIFFERENCE = 0.2
+MAX_WALL_NEST_DEPTH_DIFFERENCE = 0.2
 """Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
-FLOOR_MARGIN = 0.4
+DRAWN_FLOOR_MARGIN = 0.4
 """Margin [m] of the drawn floor around stations and targets."""
 
 
@@ -268,14 +268,14 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
             depths = direction * points[:, axis]
             rearmost = float(depths.min())
             faces_hall = np.nan_to_num(direction * nest_normals[:, axis]) > MIN_WALL_NEST_NORMAL_COMPONENT
-            if np.sum(faces_hall & (depths < rearmost + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
+            if np.sum(faces_hall & (depths < rearmost + MAX_WALL_NEST_DEPTH_DIFFERENCE)) >= 4:
                 planes.append((axis, direction, direction * (rearmost - 0.05)))
     return planes
 
 
 def _floor_rectangle(positions: Floats, wall_planes: list[tuple[int, float, float]]) -> Floats:
     """Corners (4, 2) [m] of the axis-parallel rectangle around n positions (n, 2), with a margin where no wall is."""
-    (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
+    (x0, y0), (x1, y1) = positions.min(axis=0) - DRAWN_FLOOR_MARGIN, positions.max(axis=0) + DRAWN_FLOOR_MARGIN
     wall_by_direction = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     wall_by_direction |= {(axis, side): place for axis, side, place in wall_planes}
     x0, x1, y0, y1 = (

@@ -21,9 +21,9 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = random_stream(seed, "clean").standard_normal((searcher.space.n_equations, DRAWS))
-    others = searcher.space.project(white)
-    rest = Searcher(searcher.space, seed, 1, catalogue_designs=searcher.catalogue_designs)
+    white = random_stream(seed, "clean").standard_normal((searcher.residual_space.n_equations, DRAWS))
+    others = searcher.residual_space.project(white)
+    rest = Searcher(searcher.residual_space, seed, 1, catalogue_designs=searcher.catalogue_designs)
     rest.null_ensemble = with_trials(searcher.null_ensemble, others)
     return rest._screening(rest.empty_model).null_statistics
 

@@ -50,7 +50,7 @@ INTERRUPT_CHECK_INTERVAL_S = 0.2
 """Longest time [s] that the server waits for a request before it reacts to Ctrl-C."""
 MIN_CAMERA_VECTOR_LENGTH = 1e-6
 """Smallest distance [m] of the camera from its focal point, and smallest length of its up direction."""
-RESPONSE_HEADERS = {
+HTTP_RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -256,11 +256,11 @@ class _RequestHandler(BaseHTTPRequestHandler):
         return future.result()
 
     def _send_response(self, response: HttpResponse) -> None:
-        """Send a response with the headers `RESPONSE_HEADERS`."""
+        """Send a response with the headers `HTTP_RESPONSE_HEADERS`."""
         self.send_response(response.status)
         self.send_header("Content-Type", f"{response.media_type}; charset=utf-8")
         self.send_header("Content-Length", str(len(response.content)))
-        for name, value in RESPONSE_HEADERS.items():
+        for name, value in HTTP_RESPONSE_HEADERS.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(response.content)

@@ -18,16 +18,14 @@ from ltsim.reports.figures.obstacles import draw_obstacles
 from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
-LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker in which its label is placed if there is space, relative to the preferred
-direction."""
+MARKER_LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
+"""Directions [rad] from a marker for its label, in the order in which they are tried, from the preferred direction."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Ratio of height to width of an area above which its label is vertical, because the area is narrower than the
-label."""
+"""Ratio of height to width of an area above which its label is vertical, because the area is too narrow for it."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
@@ -67,7 +65,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
     for label in labels:
         half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIOS[0] * len(label.text), LETTER_SIZE_RATIOS[1]])
         half_size = half_size[::-1] if label.is_vertical else half_size
-        for direction in label.preferred_direction + LABEL_DIRECTIONS:
+        for direction in label.preferred_direction + MARKER_LABEL_DIRECTIONS:
             unit_vector = np.array([np.cos(direction), np.sin(direction)])
             offset = unit_vector * LABEL_DISTANCE_PT + half_size * np.clip(
                 1.5 * unit_vector, -1.0, 1.0
@@ -85,7 +83,11 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
                 break
 
 
-HEIGHT_CLASSES = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
+TARGET_HEIGHT_CLASSES = (
+    (0.9, "v", style.ORANGE, "low"),
+    (3.2, "s", style.SKY, "middle"),
+    (np.inf, "^", style.BLUE, "high"),
+)
 """Classes of targets by height: upper limit [m] above the floor, marker, colour, name."""
 MAX_LABELLED_TARGETS = 60
 """Number of targets above which a floor plan does not show the names of the targets."""
@@ -94,15 +96,14 @@ MAX_VECTOR_MARKERS = 150
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MIN_STACKED_TARGETS_OF_SHORT_LABEL = 4
-"""Smallest number of targets above each other whose common label has only the first name and the number of others (`T1
-+3`)."""
+"""Smallest number of targets above each other with a short common label: a name and the number of others (`T1 +3`)."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
-FLOOR_PLAN_WIDTH = 4.3
+FLOOR_PLAN_WIDTH_INCH = 4.3
 """Width of the axes of a floor plan [inch]."""
-FLOOR_PLAN_HEIGHT_RANGE = (3.6, 6.6)
+FLOOR_PLAN_HEIGHT_RANGE_INCH = (3.6, 6.6)
 """Smallest and largest height of the figure of a floor plan [inch]."""
-LISTED_STATION_HEIGHT = 0.16
+LISTED_STATION_HEIGHT_INCH = 0.16
 """Additional height of the figure per listed station [inch]."""
 MAX_WALL_DISTANCE = 0.35
 """Largest distance [m] of a target from a side of the floor at which the target is on the wall there."""
@@ -117,10 +118,9 @@ def floor_plan(
     floor: Floor | None = None,
     draw_markers: Callable[[Axes], list[MapLabel]] = lambda ax: [],
 ) -> Figure:
-    """Floor plan of a hall in metres, seen from above.
+    """Floor plan of a hall in metres; circles on the floor are what a tracker cannot see below it (shadow cones).
 
-    Circles are shadow cones (what a tracker cannot see below it) on the floor. The tick of a station points to azimuth
-    zero.
+    The tick of a station points to azimuth zero.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def floor_plan(
     low, high = _axis_limits(workshop)
     aspect_ratio = (high[1] - low[1]) / (high[0] - low[0])
     figure, ax = style.new_panel(
-        float(np.clip(FLOOR_PLAN_WIDTH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHT_RANGE)), layout="compressed"
+        float(np.clip(FLOOR_PLAN_WIDTH_INCH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHT_RANGE_INCH)), layout="compressed"
     )
     ax.set_aspect("equal")
     style.set_grid(ax, grid_axis="both")
@@ -174,7 +174,7 @@ def floor_plan(
     if lists_coordinates and len(workshop.stations) <= MAX_LISTED_STATIONS:
         empty_handles, station_texts = _listed_stations_legend(workshop, n_other_entries=len(labels))
         handles, labels = [*handles, *empty_handles], [*labels, *station_texts]
-        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT * len(station_texts))
+        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT_INCH * len(station_texts))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     marker_positions = [
         *workshop.station_positions[:, :2],
@@ -311,7 +311,7 @@ def _draw_targets(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw targets with markers that depend on the height above the floor."""
     height = workshop.target_points[:, 2] - workshop.floor_height
     lower_limit = -np.inf
-    for upper_limit, marker, colour, class_name in HEIGHT_CLASSES:
+    for upper_limit, marker, colour, class_name in TARGET_HEIGHT_CLASSES:
         is_in_class = (height > lower_limit) & (height <= upper_limit)
         legend_label = (
             f"{class_name} target, up to {upper_limit:g} m"

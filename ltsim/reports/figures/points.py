@@ -10,7 +10,7 @@ from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, draw_labels
 
-PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
+DISPLACEMENT_PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
 """Projections of displacements: title, and indices of the two coordinate axes."""
 
 
@@ -29,7 +29,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
     mm_per_um = float(0.125 * (np.ptp(positions, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
     figure.suptitle(f"displacements are enlarged {1e3 * mm_per_um:.0f} times", x=0.01, ha="left", fontsize=7.5)
-    for ax, (title, i, j) in zip(figure.subplots(1, 2), PROJECTIONS, strict=True):
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), DISPLACEMENT_PROJECTIONS, strict=True):
         for position, shift, axes, has_moved in zip(positions, shifts, semi_axes, moved, strict=True):
             colour = style.RED if has_moved else style.COLOUR_AFTER
             start, end = position[[i, j]], position[[i, j]] + mm_per_um * shift[[i, j]]
@@ -43,7 +43,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
     moved_indices = np.flatnonzero(moved)
-    for ax, (_, i, j) in zip(figure.axes, PROJECTIONS, strict=True):
+    for ax, (_, i, j) in zip(figure.axes, DISPLACEMENT_PROJECTIONS, strict=True):
         draw_labels(
             figure,
             ax,

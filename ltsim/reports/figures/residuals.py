@@ -30,7 +30,7 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
         for observable, colour in zip(OBSERVABLES, style.COLOUR_CYCLE, strict=False):
-            rows = residuals.is_of_observable(observable) & np.isfinite(residuals.normalised_residual)
+            rows = residuals.observable_mask(observable) & np.isfinite(residuals.normalised_residual)
             x, w = residuals.covariates[name][rows], residuals.normalised_residual[rows]
             ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MAX_VECTOR_DOTS, zorder=1.5)
             _draw_running_mean(ax, x, w, colour=colour, label=observable)
@@ -52,7 +52,7 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
 
     `reference` are the residuals before a correction, drawn next to the residuals in another colour.
     """
-    observables = [name for name in OBSERVABLES if residuals.is_of_observable(name).any()]
+    observables = [name for name in OBSERVABLES if residuals.observable_mask(name).any()]
     stations = residuals.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(observables), 1) + 0.4)
     axes = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
@@ -61,7 +61,7 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
     for ax, observable in zip(axes, observables, strict=True):
         for series_residuals, offset, colour, word in series:
             for station_index, station in enumerate(stations):
-                is_shown = series_residuals.is_of_observable(observable) & (series_residuals.station == station)
+                is_shown = series_residuals.observable_mask(observable) & (series_residuals.station == station)
                 values = series_residuals.residual[is_shown]
                 x = station_index + offset + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
                 label, is_rasterized = (word if station_index == 0 else None), len(values) > MAX_VECTOR_DOTS
@@ -94,7 +94,7 @@ def finding_comparison_figure(
     observables = [
         n
         for n in OBSERVABLES
-        if (not scope.observables or n in scope.observables) and without_finding.is_of_observable(n).any()
+        if (not scope.observables or n in scope.observables) and without_finding.observable_mask(n).any()
     ]
     figure = style.new_figure(0.5 + 1.8 * max(len(observables), 1))
     grid = figure.subplots(len(observables), 2, sharex=True, sharey="row", squeeze=False)
@@ -106,8 +106,8 @@ def finding_comparison_figure(
         for ax, residuals, normalised, model_text in zip(
             panel_row, (without_finding, with_finding), normalised_residuals, ("without", "with it"), strict=True
         ):
-            rows = residuals.is_of_observable(observable) & np.isfinite(residuals.covariates[covariate])
-            is_at_finding = rows & residuals.is_at_places(scope.stations, scope.targets)
+            rows = residuals.observable_mask(observable) & np.isfinite(residuals.covariates[covariate])
+            is_at_finding = rows & residuals.station_and_target_mask(scope.stations, scope.targets)
             if (rows & ~is_at_finding).any():
                 _draw_residuals(
                     ax, residuals, rows & ~is_at_finding, covariate, color=style.GREY, label="elsewhere", ms=2.0
@@ -147,12 +147,12 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
     if residuals is not None and covariate == "time":
-        covariate = residuals.order_covariate
+        covariate = residuals.measurement_order_covariate
     figure, ax = style.new_panel(2.6)
     factor, label = _axis_factor_and_label(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and response in OBSERVABLE_UNITS:
-        rows, dots_label = residuals.is_of_observable(response), "residuals without the finding"
+        rows, dots_label = residuals.observable_mask(response), "residuals without the finding"
         _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=dots_label, ms=2.5)
         sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
         unit = OBSERVABLE_UNITS[response]

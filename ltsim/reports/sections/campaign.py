@@ -68,7 +68,7 @@ MAX_CELL_ROWS = 48
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Result column whose mean the summary of a campaign reports: improvement of the distance criterion by calibration."""
 
-STATISTIC_TITLES = MappingProxyType(
+STATISTIC_TITLE_BY_COLUMN = MappingProxyType(
     {
         "distance_improvement_percent": ("distance criterion, improvement", " [%]"),
         "coordinate_improvement_percent": ("coordinate criterion, improvement", " [%]"),
@@ -228,7 +228,7 @@ def _means_by_level_tables(
         return []
     means_by_level: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
-        for name in filter(summaries.get, STATISTIC_TITLES):
+        for name in filter(summaries.get, STATISTIC_TITLE_BY_COLUMN):
             for s in summaries[name]:
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 means_by_level.setdefault(key, []).append(s.mean)
@@ -245,7 +245,7 @@ def _main_result_figures(
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
-    for column, (title, unit) in STATISTIC_TITLES.items():
+    for column, (title, unit) in STATISTIC_TITLE_BY_COLUMN.items():
         rows, published_value = summaries.get(column, []), published_values.get(column)
         for text, figure in statistic_figures(results, rows, title + unit, published_value) if rows else ():
             outside = [
@@ -270,7 +270,7 @@ def _main_result_figures(
 def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main result over the factors; distributions over the trials if no factor varies."""
     if len(results.levels) > 1:
-        for column, (title, unit) in STATISTIC_TITLES.items():
+        for column, (title, unit) in STATISTIC_TITLE_BY_COLUMN.items():
             if column in results.columns:
                 return next(statistic_figures(results, results.statistic_summaries(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))

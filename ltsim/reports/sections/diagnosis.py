@@ -23,7 +23,7 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_constants_texts
+from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
@@ -101,7 +101,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
     model_text = ", with the findings in the model" if content.findings else ""
-    if constants := significant_constants_texts(content.instruments):
+    if constants := significant_instrument_constant_texts(content.instruments):
         blocks.append(
             NoteBlock(f"Most significant constants of the instruments{model_text}", f"{'; '.join(constants)}.")
         )
@@ -279,14 +279,16 @@ def finding_figure(
         return None
     scope = finding.where
     candidate_covariates = [
-        without_finding.order_covariate if name == "time" else name
+        without_finding.measurement_order_covariate if name == "time" else name
         for name in (*scope.covariates, "time", "elevation", "row")
     ]
     common_covariates = [
         name for name in candidate_covariates if name in without_finding.covariates and name in with_finding.covariates
     ]
     place = scope.stations, scope.targets
-    has_no_rows = not (without_finding.is_at_places(*place).any() and with_finding.is_at_places(*place).any())
+    has_no_rows = not (
+        without_finding.station_and_target_mask(*place).any() and with_finding.station_and_target_mask(*place).any()
+    )
     if not common_covariates or has_no_rows:
         return None
     return lambda: figures.residuals.finding_comparison_figure(

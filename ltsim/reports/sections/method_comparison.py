@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ltsim.campaigns.results import CampaignResults, PairedDifference
     from ltsim.campaigns.summary import StatisticSummary
 
-COMPARED_STATISTICS = {
+COMPARED_STATISTIC_TEXTS = {
     "new_point_error_calibrated_um": "error of a new point",
     "target_error_um": "error of the targets",
     "error_calibrated_um": "error of a point",
@@ -51,7 +51,7 @@ class MethodComparison:
 
         A cell is a combination of factor levels.
         """
-        statistic = next((name for name in COMPARED_STATISTICS if summaries.get(name)), "")
+        statistic = next((name for name in COMPARED_STATISTIC_TEXTS if summaries.get(name)), "")
         means: dict[str, list[float]] = {}
         for summary in summaries.get(statistic, []):
             means.setdefault(summary.method, []).append(summary.mean)
@@ -69,7 +69,7 @@ class MethodComparison:
     @property
     def statistic_label(self) -> str:
         """Text for the compared error, such as `error of a new point`."""
-        return COMPARED_STATISTICS[self.statistic]
+        return COMPARED_STATISTIC_TEXTS[self.statistic]
 
     def sentence(self) -> str:
         """Sentence on the combinations of factor levels in which the best method is significantly better or worse."""

@@ -48,7 +48,7 @@ from ltsim.simulation.truth import Truth, read_truth
 if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import WorkshopScene
 
-TRUTH_FILE = "truth.json"
+TRUTH_FILE_NAME = "truth.json"
 """Name of the file with the true values of a simulation."""
 STATION_WORK_TABLE = Table(
     "work.csv",
@@ -99,7 +99,7 @@ def adjustments_without_and_with_parameters(recording: Recording | None) -> Adju
 
 def truth_in_folder(context: SectionContext) -> Truth | None:
     """True values of a simulation, from the folder of a result; None without a file `truth.json`."""
-    file = context.folder / TRUTH_FILE if context.folder else None
+    file = context.folder / TRUTH_FILE_NAME if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
+from ltsim.acceptance.files import AcceptanceFile, Judgement, combined_judgement
 from ltsim.adjustment.fieldcheck.recommendations import recommendations_after_check
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
@@ -148,7 +148,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.sigma_assumption}." if content.sigma_assumption else ""
-    hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_key)[:MAX_LISTED_TESTS]
+    hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_sort_key)[:MAX_LISTED_TESTS]
     last_column = "pass_probability" if predicted else "judgement"
     blocks: list[Block] = [
         picture_if_few_items(
@@ -228,7 +228,7 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
     judgements = [r.conformity.judgement for r in judged_results if r.conformity]
-    assessment = ASSESSMENT_BY_JUDGEMENT[joint_judgement(judgements)]
+    assessment = ASSESSMENT_BY_JUDGEMENT[combined_judgement(judgements)]
     return Section(
         content.title or "Uncertainty of tasks",
         "Uncertainty",

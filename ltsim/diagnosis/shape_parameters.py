@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.evidence import index_of_largest, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
@@ -58,7 +58,7 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
+def shape_parameter_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
     """Value of the shape parameter `shape` at a `position` from -1 at `lower` to 1 at `upper`.
 
     The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the parameter.
@@ -72,7 +72,7 @@ def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float
 
 
 def integrate_over_shapes(
-    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: EffectModel
 ) -> tuple[CandidateEffect, float]:
     """Effect with the most probable shape parameters, and log evidence averaged over a cell of the coarse grid.
 
@@ -90,7 +90,7 @@ def _integrate_over_shape(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
     shape: ShapeParameter,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     log_evidence: float,
 ) -> tuple[CandidateEffect, float]:
     """Effect with the most probable value of one shape parameter, and log evidence averaged over a coarse grid cell.
@@ -106,7 +106,7 @@ def _integrate_over_shape(
 
     def log_evidence_at(positions: Floats) -> Floats:
         """Log evidence at positions from -1 to 1: one coarse step below and above the value of the effect."""
-        values = (shape_constant_at_position(shape, low, high, x) for x in positions.tolist())
+        values = (shape_parameter_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
             [effect.with_constants(**{shape.name: value}) for value in values], conditioning_model
         )
@@ -119,7 +119,7 @@ def _integrate_over_shape(
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
     best_effect = effect.with_constants(
-        **{shape.name: shape_constant_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
+        **{shape.name: shape_parameter_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
     )
     height = np.exp(logs - logs.max())
     return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
@@ -136,14 +136,14 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
     return False
 
 
-class ShapeConstantsNode(NamedTuple):
+class ShapeParameterNode(NamedTuple):
     """Node of the grid of shape parameters of an effect: their values, and estimates of the k parameters."""
 
     effect: CandidateEffect
     """Effect with the shape parameters of the node."""
     log_weight: float
     """Log of the evidence times the volume of the node's cell of the grid."""
-    shape_constants: dict[str, float]
+    shape_parameters: dict[str, float]
     """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats
     """Posterior mean (k,) of the k parameters [SI]."""
@@ -175,14 +175,14 @@ def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[
     return list(by_gap.values())
 
 
-def shape_constants_nodes(
+def shape_parameter_nodes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    conditioning_model: Model,
-    shape_constant_sigmas: Mapping[str, float],
+    conditioning_model: EffectModel,
+    shape_parameter_sigmas: Mapping[str, float],
     *,
     uses_search_prior: bool = False,
-) -> list[ShapeConstantsNode]:
+) -> list[ShapeParameterNode]:
     """Nodes of the grid of an effect over its shape parameters and neighbouring places.
 
     The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
@@ -193,16 +193,16 @@ def shape_constants_nodes(
     shape_parameters = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
     ]
-    near = effect.neighbours(calculator.space.sightings)
+    near = effect.neighbours(calculator.residual_space.sightings)
     if not (shape_parameters or near) or len(shape_parameters) > 2:
         return []
     n_grid_values = 33 if len(shape_parameters) == 1 and not near else 15
     axes = [
-        _dense_grid(s, float(vars(effect)[s.name]), shape_constant_sigmas.get(s.name, 0.0), n_grid_values)
+        _dense_grid(s, float(vars(effect)[s.name]), shape_parameter_sigmas.get(s.name, 0.0), n_grid_values)
         for s in shape_parameters
     ]
     plausible_sizes = effect.plausible_sizes
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     points = [
         (
             instance,
@@ -230,12 +230,12 @@ def shape_constants_nodes(
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         _, gap_duration = _index_and_duration_of_gap(instance, sightings)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap_duration) if gap_duration else 0.0)
-        nodes.append(ShapeConstantsNode(shape, weight, constants, mean, np.diag(covariance), gap_duration))
+        nodes.append(ShapeParameterNode(shape, weight, constants, mean, np.diag(covariance), gap_duration))
     return nodes
 
 
 def region_centre_estimates(
-    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: EffectModel
 ) -> tuple[ParameterEstimate, ...]:
     """Estimated coordinates, in the network frame, of the centre of the region of an effect; empty without a region.
 
@@ -276,7 +276,7 @@ def region_centre_estimates(
 def estimates_averaged_over_shapes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     estimates: Sequence[ParameterEstimate],
 ) -> dict[str, ParameterEstimate]:
     """Posterior means and standard deviations of the parameters and shape parameters of an effect, by name.
@@ -285,16 +285,16 @@ def estimates_averaged_over_shapes(
     approximation, the results are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for
     effects without shape parameters. The effects of `conditioning_model` are estimated in addition.
     """
-    nodes = shape_constants_nodes(
+    nodes = shape_parameter_nodes(
         calculator, effect, conditioning_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}
     )
     if not nodes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in nodes]))
-    node_values = np.array([[*node.parameter_means, *node.shape_constants.values()] for node in nodes])
+    node_values = np.array([[*node.parameter_means, *node.shape_parameters.values()] for node in nodes])
     within = np.array(
         [
-            [*s.parameter_variances, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.shape_constants)]
+            [*s.parameter_variances, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.shape_parameters)]
             for s in nodes
         ]
     )
@@ -305,7 +305,7 @@ def estimates_averaged_over_shapes(
         | {s.name: s.unit for s in type(effect).shape_parameters}
         | {p.name: p.unit for p in effect.parameters}
     )
-    names = [*(p.name for p in effect.parameters), *nodes[0].shape_constants]
+    names = [*(p.name for p in effect.parameters), *nodes[0].shape_parameters]
     return {
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
