@@ -135,9 +135,9 @@ class Diagnosis(ResultFile):
         before, after = self.fit.before, self.fit.after
         phrase = f"chi2/dof {before.chi2:.0f}/{before.dof}"
         if self.findings:
-            phrase += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
+            phrase += f", with the findings in the model {after.chi2:.0f}/{after.dof}"
             if None not in (before.held_out_rms, after.held_out_rms) and before.held_out_rms != after.held_out_rms:
-                phrase += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
+                phrase += f"; held-out error {before.held_out_rms:.2f} sigma, then {after.held_out_rms:.2f} sigma"
         return [*lines, phrase]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

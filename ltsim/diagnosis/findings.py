@@ -320,8 +320,8 @@ class SelectedModelFit:
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
-            return f" The set-up declares that this constant is zero with a standard deviation of {sigmas}."
-        implausible = " This size is hardly plausible for this cause: check other causes too."
+            return f" The set-up declares that this instrument constant is zero with a standard deviation of {sigmas}."
+        implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:

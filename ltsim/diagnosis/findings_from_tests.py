@@ -85,7 +85,9 @@ def contradicting_instrument_constant_finding(contradiction: InstrumentConstantC
         parameter_text(other.name) for other in contradiction.evidence_share_by_constant if other != p
     )
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
-    ambiguity = f" These readings hardly distinguish this constant from {rival_names}." if rival_names else ""
+    ambiguity = (
+        f" These readings hardly distinguish this instrument constant from {rival_names}." if rival_names else ""
+    )
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.reference_text}, "

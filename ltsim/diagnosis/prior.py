@@ -29,11 +29,9 @@ PRIOR_PROBABILITY_BY_CAUSE_KIND = {
 CAUSE_KIND_DESCRIPTIONS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
-    "noise": "a change of the noise that the catalogue contains",
-    "scatter": "another change of the noise",
-    "constant": (
-        "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
-    ),
+    "noise": "a changed noise level that the catalogue contains",
+    "scatter": "another changed noise level",
+    "constant": ("an instrument constant that contradicts the other instruments, its history or a declared correction"),
 }
 """Description for users of each kind of cause, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_KIND`."""
 P_UNMODELLED_CAUSE = 0.2

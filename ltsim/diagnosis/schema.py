@@ -15,7 +15,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 DIAGNOSED_TARGETS_TABLE = Table(
     "targets.csv",
-    "targets adjusted with the findings modelled",
+    "targets adjusted with the findings in the model",
     (
         *COORDINATE_COLUMNS,
         *number_columns(

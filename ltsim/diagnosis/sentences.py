@@ -95,7 +95,7 @@ def catalogue_effect_sentence(
     located = (
         ""
         if p_same_scope is None
-        else f"An effect like this {place_phrase} has a probability of {percent_text(p_same_scope)}. "
+        else f"An effect {place_phrase}, of this or another cause, has a probability of {percent_text(p_same_scope)}. "
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE else f"Perhaps {lower_title}"
@@ -123,7 +123,8 @@ def law_sentence(
         )
     return (
         f"The {response}{place_phrase}{verb}{regressor}{size_phrase}. "
-        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_same_scope)}."
+        "The catalogue does not contain this effect. An effect on these readings, in this or another form, "
+        f"has a probability of {percent_text(p_same_scope)}."
     )
 
 
@@ -134,7 +135,7 @@ def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
     """
     covariates = names_text([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" It depends on {covariates}." if covariates else ""
-    present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
+    present = f"The noise differs from the declared noise{_place_suffix(scope)}, and no catalogue effect describes it."
     return f"{present}{dependence} The most probable description is {noise_text}."
 
 
@@ -217,7 +218,7 @@ def diagnosis_summary(
             "but no cause is probable."
         )
     first_finding = findings[0]
-    suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
+    suffix = f" Further findings: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = [effect_title_in_sentence(e.effect) for e in first_finding.equivalents]
     open_ = f" This recording cannot exclude another cause: {' or '.join(others)}." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"

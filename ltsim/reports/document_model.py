@@ -140,7 +140,7 @@ def picture_if_few_items(
     """
     if n_items <= MAX_FIGURE_ITEMS:
         return PictureBlock(title, draw_figure, caption)
-    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; at most {MAX_FIGURE_ITEMS} are.")
+    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; the limit is {MAX_FIGURE_ITEMS}.")
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,7 @@ def test_a_figure_of_very_many_items_is_a_note(tmp_path: Path, name: str, list_n
     assert content[list_name]
     many = content | {list_name: content[list_name][:1] * (MAX_FIGURE_ITEMS + 1)}
     page = page_of(tmp_path, name, many)
-    assert any(f"are too many to draw; at most {MAX_FIGURE_ITEMS} are" in text for text in page.text)
+    assert any(f"are too many to draw; the limit is {MAX_FIGURE_ITEMS}" in text for text in page.text)
 
 
 def test_characters_that_turn_the_direction_of_writing_do_not_reach_a_page(tmp_path: Path) -> None:

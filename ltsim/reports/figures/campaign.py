@@ -146,7 +146,7 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     rows = sweep_points(results, statistic, along, panel=panel, **levels)
     if len({(row.level, row.line_label, row.panel_label) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
-        raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
+        raise ModelError(f"several cells share a position on the axis; give panel, or a level of {' or '.join(others)}")
     return sweep_panels_figure(rows, statistic_title=label, x_title=axis)
 
 

@@ -216,7 +216,7 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
         labels.append(MapLabel(area.name, corners.min(axis=0), 7.0, colour="#00664B", preferred_direction=0.25 * np.pi))
     for i, place in enumerate(floor.keep_outs):
         corners = np.array(place.corners_mm) * mm
-        legend_label = "kept free" if i == 0 else None
+        legend_label = "area to keep free" if i == 0 else None
         ax.add_patch(
             Polygon(
                 corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=legend_label

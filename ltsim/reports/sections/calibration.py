@@ -264,7 +264,7 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
         if lines:
             blocks.append(BulletListBlock("Benefit of the calibration", [capitalised_sentence(line) for line in lines]))
     if content.undetermined_targets:
-        text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
+        text = f"The used readings do not determine the coordinates of {', '.join(content.undetermined_targets)}."
         blocks.append(NoteBlock("Targets without coordinates", text, "bad"))
     blocks += table_blocks("Outlying readings", OUTLIERS_TABLE.with_rows(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
@@ -302,7 +302,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
-    actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
+    actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
     if content.parameters and is_accepted and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions

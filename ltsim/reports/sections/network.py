@@ -159,7 +159,9 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
-        return NoteBlock("No 3D view", f"{n_stations} stations are too many to draw; at most {MAX_NETWORK_SETUPS} are.")
+        return NoteBlock(
+            "No 3D view", f"{n_stations} stations are too many to draw; the limit is {MAX_NETWORK_SETUPS}."
+        )
     if not is_installed("pyvista"):
         return NoteBlock("No 3D view", str(missing_extra_error("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
