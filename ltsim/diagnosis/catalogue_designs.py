@@ -149,7 +149,7 @@ class CatalogueDesigns:
     groups: list[EffectDesignGroup]
     """Groups of effects with the same number of parameters and the same form of storage (sparse or dense)."""
     family_names: tuple[str, ...]
-    """Names of the families, which are the names of the catalogue effects."""
+    """Names of the catalogue effects, one for each family (all variants of the effect)."""
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
     n_equations: int

@@ -288,6 +288,7 @@ class SelectedModelFit:
         effect = self.model.hypotheses[effect_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
+            """Scope of a candidate, which is compared with the scope of the effect."""
             scope = self._scope(candidate)
             if scope.targets and not isinstance(effect, EmpiricalLaw):
                 return FindingScope(targets=scope.targets)

@@ -37,7 +37,7 @@ again takes a sixth of the time of a screening."""
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """Empirical law as the result of a screening: response, regressor and place, with an approximate log evidence."""
+    """Screened empirical law: changed quantity, function of covariates, place, and approximate log evidence."""
 
     response: Response
     """Quantity that the empirical law changes, such as the vertical index."""
@@ -53,9 +53,9 @@ class ScreenedLaw:
 
 @dataclass(frozen=True)
 class PointingPartition:
-    """Partition of the pointings into cells of pointings that belong to the same places (stations or targets of laws).
+    """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
-    A sum over the pointings of a place is a sum over the cells of the place.
+    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place.
     """
 
     pointing_order: Ints
@@ -63,11 +63,12 @@ class PointingPartition:
     cell_edges: Ints
     """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
     is_cell_in_place: sp.csr_array
-    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places of laws."""
+    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places (stations, targets or
+    instruments)."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
-        """Partition of `n_pointings` pointings by the stations, targets or instruments (places) of laws."""
+        """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws."""
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
@@ -140,24 +141,25 @@ class RegressorColumns:
 class LawBatch:
     """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places.
 
-    The responses are of one kind. The regressors have the same number of columns and of length scales.
+    A regressor is a function of covariates that the change follows; a place is the stations, targets or instruments
+    where it acts. The responses are of one kind. The regressors have the same number of columns and of length scales.
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses with c components each) that the laws change."""
+    """Quantities (C responses with c components each) that the empirical laws change."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates (D regressors with k columns each) that the laws follow."""
+    """Functions of covariates (D regressors with k columns each) that the empirical laws follow."""
     places: tuple[LawPlace, ...]
-    """Stations, targets or instruments where the laws act, P places."""
+    """Stations, targets or instruments where the empirical laws act, P places."""
     partition: PointingPartition
-    """Partition of the pointings by the places of the laws (stations, targets or instruments)."""
+    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses (changed quantities)."""
     regressor_columns: RegressorColumns
     """Design columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of a single law (response, regressor and length scale) at each of P places."""
+    """Log prior probability (P,) of a single empirical law at each of P places (stations, targets or instruments)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
     """Eigen decompositions of scaled Gram matrices, by the first index of their range of regressors."""
 
@@ -165,7 +167,7 @@ class LawBatch:
     def _prior_sigmas(self) -> list[Floats]:
         """Prior standard deviations (D, c k) of the coefficients of D regressors, one array per length scale.
 
-        Each regressor has k columns, each response c components.
+        A regressor is a function of covariates with k columns; each response (changed quantity) has c components.
         """
         n_components = self.whitened_response_designs.shape[3]
         return [
@@ -174,9 +176,10 @@ class LawBatch:
         ]
 
     def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and null values.
+        """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
-        The null values (trials,) are the same log for each simulated recording (trial) of the null ensemble.
+        A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
+        summed evidence for each simulated recording (trial) of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -199,10 +202,11 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d), with priors, of laws at P places with C responses and d regressors, and null values.
+        """Log evidence (P, C, d), with priors, of empirical laws, and their log summed evidence in simulations.
 
-        The regressors are those of a range. The null values (trials,) are logs of the summed evidence of these laws for
-        each simulated recording (trial). The Gram matrix of a law is not reduced by the effects in the model. It is
+        A law is a changed quantity (response, C of them) that follows a function of covariates (regressor, d of them in
+        `regressor_range`) at some stations or targets (place, P of them). The second result (trials,) belongs to the
+        simulated recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is
         therefore too large for a law that is correlated with them. The laws with the largest evidence are evaluated
         again without this approximation.
         """
@@ -229,7 +233,7 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
-        """Eigen decompositions of the Gram matrices of laws, scaled by the prior sigmas of their coefficients.
+        """Eigen decompositions of Gram matrices of empirical laws, scaled by prior sigmas of their coefficients.
 
         The list runs over the length scales of the smooth functions of a regressor, each with its own prior sigmas. An
         entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
@@ -245,10 +249,10 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Floats32) -> Floats32:
-        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at P places.
+        """Products (P, C, d, c k, v) of the design matrices of empirical laws with v vectors of the null ensemble.
 
-        The laws have C responses with c components. `columns` (n, d k) are the k columns of each of d regressors at n
-        pointings.
+        The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -269,9 +273,10 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of laws at P places with C responses of c components.
+        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before their projection.
 
-        `columns` (n, d k) are the k columns of each of d regressors at n pointings.
+        The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns

@@ -163,7 +163,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
 
 
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of stations or targets at which separate laws are tried; empty for one name, and for too many names."""
+    """Names of stations or targets at which separate empirical laws are tried; empty for one name or too many names."""
     return names if 1 < len(names) <= MAX_SEPARATE_SETUPS_OR_TARGETS else ()
 
 
@@ -191,10 +191,11 @@ class _LawBatchBuilder:
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Addition of the laws at places of one kind, with all admissible responses and regressors.
+        """Addition of the empirical laws at places of one kind, with all admissible responses and regressors.
 
-        `place_kind` is a key of `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses (changed quantities) of the kinds
-        `excluded_kinds` are not combined with the constant regressor.
+        A response is a changed quantity, a regressor a function of covariates. `place_kind` is a key of
+        `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses of the kinds `excluded_kinds` are not combined with the constant
+        regressor.
         """
         kinds = (
             PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS
@@ -246,10 +247,10 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Registration of laws with the prior `weight` per response, divided equally among regressors and places.
+        """Registration of empirical laws with the prior `weight` per response, divided among regressors and places.
 
-        `n_components` is the number of components of the responses (changed quantities). Places with too few pointings
-        for the coefficients of a regressor are left out.
+        A response is a changed quantity with `n_components` components, a regressor a function of covariates. Places
+        (stations or targets) with too few pointings for the coefficients of a regressor are left out.
         """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for regressor in regressors if responses else ():
@@ -264,9 +265,10 @@ class _LawBatchBuilder:
                 self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / n_laws))
 
     def law_batches(self) -> list[LawBatch]:
-        """Batches of the registered laws.
+        """Batches of the registered empirical laws.
 
-        A batch contains all combinations of its responses and regressors at all its places.
+        A batch contains all combinations of its responses (changed quantities) and regressors (functions of covariates)
+        at all its places (stations, targets or instruments).
         """
         weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
@@ -321,9 +323,10 @@ def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
 
 
 def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
-    """True if a search tries a wave for responses with this `Response.changed_part`.
+    """True if an empirical law that changes this part of the system (`Response.changed_part`) may follow a wave.
 
-    All waves are tried for readings, and waves in `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for other responses.
+    A wave is a periodic function of a covariate. All waves are tried for readings, and waves of
+    `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for other changed parts.
     """
     return changed_part == "reading" or wave.covariates[0] in WAVE_COVARIATES_FOR_NON_READING_RESPONSES
 

@@ -23,13 +23,13 @@ InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstr
 def select_noise_and_effects(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction
 ) -> tuple[SelectionState, EffectModel]:
-    """State after the selection of noise hypotheses and changed instrument constants, and the selected effects.
+    """State of the selection after the choice of noise hypotheses and changed instrument constants, and the effects.
 
     The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
-    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters, because a law that is selected with a wrong noise level
-    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together with
-    the effects among the simple causes of the network. `compare_with_reference` returns the instrument constants that
-    contradict their reference in an adjustment.
+    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters: an empirical law that is selected with a wrong noise
+    level absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together
+    with the effects among the simple causes of the network. `compare_with_reference` returns the instrument constants
+    that contradict their reference in an adjustment.
     """
     noise = state.ranked_noise_hypotheses(state.empty_model)[0][0]
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
@@ -62,7 +62,7 @@ def _select_noise_hypotheses(
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> SelectionState:
-    """State after a forward selection of noise hypotheses.
+    """State of the model selection after a forward selection of noise hypotheses.
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first noise hypothesis is always
     selected, because the global test has failed. Its alternatives include the effects, with the log evidence
@@ -82,7 +82,7 @@ def _select_noise_hypotheses(
 def _select_effects_given_noise(
     state: SelectionState, start_hypotheses: Sequence[Hypothesis]
 ) -> tuple[SelectionState, EffectModel]:
-    """State after a selection of effects in addition to the selected noise hypotheses, and the model of these effects.
+    """State of the selection, and model, after a selection of effects in addition to the noise hypotheses.
 
     If the noise hypotheses suffice, the state is unchanged and the model has no effects. The search begins with the
     hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
@@ -104,10 +104,10 @@ def _select_effects_given_noise(
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> tuple[SelectionState, EffectModel]:
-    """State and model after alternating selections of noise hypotheses and of effects, while the evidence increases.
+    """State of the selection, and model, after alternating selections of noise hypotheses and of effects.
 
-    Each noise hypothesis is tried in addition to `model`, in place of one of the effects in the model, and in place of
-    all effects.
+    They alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in place of one
+    of the effects in the model, and in place of all effects.
     """
     for _ in range(MAX_NOISE_HYPOTHESES):
         searcher, hypotheses = state.searcher, model.hypotheses

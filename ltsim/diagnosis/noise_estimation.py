@@ -39,10 +39,11 @@ over a normal density is accurate for spacings of up to 1.5 standard deviations.
 def reml_gain_function(
     space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Function from the values (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
+    """Function from the values (k,) of k variance parameters to the gain (k,) of log likelihood by each parameter.
 
-    Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3) of n
-    pointings, while the m residuals (m,) are whitened by the standard deviations of the residual space.
+    The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
+    standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
+    deviations of the residual space.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None

@@ -61,7 +61,10 @@ class NullEnsemble:
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
-        """Ensemble of a residual space without effects, with `n_trials` recordings simulated from `seed`."""
+        """Null ensemble of an adjustment without effects, with `n_trials` recordings simulated from `seed`.
+
+        `space` is the residual space of the adjustment.
+        """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_equations, 1 + n_trials + n_basis_vectors), dtype=np.float32)
@@ -75,10 +78,10 @@ class NullEnsemble:
         return cls(space, vectors, n_trials, empty_basis, is_first_screening=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Ensemble for a set of effects with residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
+        """Null ensemble for residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
 
-        The e vectors of the basis span the changes by the effects. The ensemble has no simulated recordings, because
-        the Gram matrices and null values of the model without effects are used again.
+        The e orthonormal vectors of the basis span the changes by the effects. The ensemble has no simulated
+        recordings, because the Gram matrices and null values of the adjustment without effects are used again.
         """
         vectors = residual[:, None].astype(np.float32)
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_screening=False)

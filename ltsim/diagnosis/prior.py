@@ -25,7 +25,7 @@ PRIOR_PROBABILITY_BY_CAUSE_KIND = {
     "scatter": 0.035,
     "constant": PRIOR_OF_WRONG_INSTRUMENT_CONSTANT,
 }
-"""Prior probability of each kind of cause, given that there is a cause."""
+"""Prior probability of each kind of cause of a misfit, given that there is a cause."""
 CAUSE_KIND_DESCRIPTIONS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
@@ -33,12 +33,12 @@ CAUSE_KIND_DESCRIPTIONS = {
     "scatter": "another changed noise level",
     "constant": ("an instrument constant that contradicts the other instruments, its history or a declared correction"),
 }
-"""Description for users of each kind of cause, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_KIND`."""
+"""Description for users of each kind of cause of a misfit, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_KIND`."""
 P_UNMODELLED_CAUSE = 0.2
 """Prior probability that a cause is neither a catalogue effect nor an empirical law, but resembles one of these."""
 P_EVEN_ODDS = 0.5
-"""Prior probability of a statement that is as probable as its contrary: an unmodelled cause acts on the observable of
-the effect or law that it resembles; the components of a law have a fixed ratio."""
+"""Prior probability of a statement that is as probable as its contrary. It is used twice: an unmodelled cause acts on
+the observable of the effect that it resembles; the components of an empirical law have a fixed ratio."""
 MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED_CAUSE * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled
 cause."""
@@ -74,8 +74,8 @@ MIN_EFFECT_LOG_EVIDENCE = 2.0
 """Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of
 effects, with prior odds of e^-2 (1 to 7) for each additional effect."""
 LOG_PRIOR_ODDS_OF_REPETITION = float(np.log(0.03))
-"""Log prior odds of a second effect with the same name (two glass panes, two unknown laws), relative to a second effect
-with another name. They apply to effects that rarely occur twice."""
+"""Log prior odds of a second effect with the same name (two glass panes, two unknown effects), relative to a second
+effect with another name. They apply to effects that rarely occur twice."""
 
 
 def log_prior_of_each_explanation(cause_kind: str, n_explanations: int) -> float:

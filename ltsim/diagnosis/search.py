@@ -223,7 +223,7 @@ class Searcher:
         return best
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: EffectModel) -> list[Hypothesis]:
-        """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all functional forms.
+        """Hypotheses of screened empirical `laws`; those with the largest evidence are evaluated in all forms.
 
         In small networks the most probable law of each response and kind of regressor is evaluated in all forms too,
         because the screening underestimates some kinds: a local search for a region can increase the evidence much.
@@ -278,12 +278,12 @@ class Searcher:
         return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
     def law_coefficients(self, law: EmpiricalLaw, reduced_model: EffectModel) -> tuple[Floats, Floats]:
-        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given `reduced_model`."""
+        """Posterior mean (k,) and covariance (k, k) of k coefficients of an empirical law, given `reduced_model`."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
     def model_with(self, hypotheses: Sequence[Hypothesis]) -> EffectModel:
-        """Model with the given hypotheses."""
+        """Model (set of effects, with their residuals) with the given hypotheses."""
         if not hypotheses:
             return self.empty_model
         designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)
@@ -308,9 +308,9 @@ class Searcher:
     def select_effects(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> EffectModel:
         """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
-        The search begins with the hypotheses `start_hypotheses` in the model. With `requires_effect` the result has at
-        least one effect. A curve with many coefficients can imitate several effects. If the result has such a curve,
-        the search is repeated from the most probable simple hypothesis, and the model with more evidence is selected.
+        The search begins with `start_hypotheses` in the model. With `requires_effect` the result has at least one
+        effect. A curve with many coefficients can imitate several effects. If the result has such a curve, the search
+        is repeated from the most probable simple hypothesis, and the model with more evidence is selected.
         """
         begin = self.model_after_exchanges(self.model_with(start_hypotheses))
         best_model = self._forward_selection(begin, requires_effect=requires_effect)

@@ -68,7 +68,10 @@ class SelectionState:
         tests_ordinary_constants: bool = True,
         effects_of_uncorrected_causes: tuple[CandidateEffect, ...] = (),
     ) -> SelectionState:
-        """State before the first step of the selection, from the ordinary adjustment and the attributes of a state."""
+        """State of the model selection before its first step, from the ordinary adjustment.
+
+        The other arguments are attributes of the state.
+        """
         return cls(
             adjustment,
             is_used_reading,
@@ -126,7 +129,8 @@ class SelectionState:
 
         Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
         of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
-        combinations. Centring errors among `noise_hypotheses` (by default all selected hypotheses) are in the model.
+        combinations. Centring errors among `selected_noise_hypotheses` (by default those of the state) are in the
+        model.
         """
         selected_noise_hypotheses = (
             self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
@@ -154,7 +158,10 @@ class SelectionState:
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def with_widened_priors(self, contradictions: Sequence[InstrumentConstantContradiction]) -> SelectionState:
-        """State after an adjustment without the prior of the instrument constants that contradict their reference."""
+        """State of the selection after an adjustment without the prior of the contradicting instrument constants.
+
+        `contradictions` are the instrument constants that contradict their reference.
+        """
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for contradiction in contradictions:
@@ -173,13 +180,13 @@ class SelectionState:
         return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
     def _with_attributes(self, **attributes: object) -> SelectionState:
-        """Copy of the state with other attributes, and with the design matrices of its search if there is one."""
+        """Copy of the selection state with other attributes, and with the design matrices of its search, if any."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
         designs = self.earlier_catalogue_designs if searcher is None else searcher.catalogue_designs
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
-        """State with the residual space of an adjustment without effects, with the present noise."""
+        """State of the selection with the residual space of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
         return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 
@@ -195,7 +202,7 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def with_noise_hypothesis(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State after the addition of a noise hypothesis, whose sizes are estimated with `effects` in the model.
+        """State of the selection after the addition of a noise hypothesis, estimated with `effects` in the model.
 
         If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
         estimated together.
@@ -214,7 +221,7 @@ class SelectionState:
         return self._with_selected_noise_hypotheses(selected_noise_hypotheses).with_estimated_noise(effects)
 
     def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
-        """State with other selected noise hypotheses and the standard deviations of readings that follow from them."""
+        """State of the selection with other noise hypotheses, and the standard deviations that follow from them."""
         changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
         return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
 
@@ -242,14 +249,17 @@ class SelectionState:
         )
 
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with variance components estimated by REML (Foerstner 1979), with `effects` in the model.
+        """State of the selection with variance components estimated by REML (Foerstner 1979).
 
-        Its residual space is that of an adjustment with the estimated noise.
+        `effects` are in the model. The residual space is that of an adjustment with the estimated noise.
         """
         return self._with_estimated_variances(effects)._with_space_of_refit()
 
     def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with variance components as in `with_estimated_noise`, but with the present residual space."""
+        """State of the selection with estimated variance components, but with the present residual space.
+
+        They are estimated as in `with_estimated_noise`, with `effects` in the model.
+        """
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):
             estimates = state._noise_estimates(effects)
@@ -304,7 +314,7 @@ class SelectionState:
         )
 
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with new estimates of the noise, with `effects` in the model.
+        """State of the selection with new estimates of the noise, with `effects` in the model.
 
         Noise hypotheses without a positive log evidence are removed.
         """

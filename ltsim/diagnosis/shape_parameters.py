@@ -76,7 +76,8 @@ def integrate_over_shapes(
 ) -> tuple[CandidateEffect, float]:
     """Effect with the most probable shape parameters, and log evidence averaged over a cell of the coarse grid.
 
-    The effects of `conditioning_model` are estimated in addition.
+    Shape parameters enter nonlinearly (period, time constant, onset time). The effects of `conditioning_model` are
+    estimated in addition.
     """
     effect, value = calculator.refine_locally([effect], conditioning_model)[0]
     for shape in type(effect).shape_parameters:
@@ -126,7 +127,10 @@ def _integrate_over_shape(
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in place, or in a shape parameter by more than the interval of integration over it."""
+    """True if two effects differ in stations or targets, or in a shape parameter by more than its integration interval.
+
+    Shape parameters enter nonlinearly (period, time constant, onset time).
+    """
     if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
@@ -167,7 +171,10 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
 
 def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
-    """Effect and its neighbours, one for each place and gap between pointings, so that each gap has the same weight."""
+    """Effect and its neighbours (slightly different effects), one for each place and gap between pointings.
+
+    Each gap has then the same weight.
+    """
     by_gap = {}
     for instance in [*effect.neighbours(sightings), effect]:
         gap_index, _ = _index_and_duration_of_gap(instance, sightings)
@@ -183,7 +190,7 @@ def shape_parameter_nodes(
     *,
     uses_search_prior: bool = False,
 ) -> list[ShapeParameterNode]:
-    """Nodes of the grid of an effect over its shape parameters and neighbouring places.
+    """Nodes of a grid over the shape parameters of an effect, and over neighbouring effects (other gap or place).
 
     The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
     parameters of `effect`. `shape_parameter_sigmas` are the standard deviations [SI] of these parameters by name. The

@@ -24,12 +24,12 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched law turns on or off: for a law with a region of the hall
-(True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with steps.
-"""
+"""Smallest number of times within set-ups at which a switched empirical law turns on or off: for a law with a region of
+the hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form
+with steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched law that acts on one target turns on or off. With one or two such times
-the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times at which a switched empirical law that acts on one target turns on or off. With one or two
+such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of an empirical law, and of intervals of the covariate whose state is toggled."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
@@ -38,7 +38,7 @@ stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
 """Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the
-switch. At this limit the law acts on about one pointing in a thousand."""
+switch. At this limit an empirical law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
@@ -53,7 +53,7 @@ class SpanGramAndScore(NamedTuple):
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
+    """Number of waves of the same covariate that the search tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
     of the law multiplied by the number of waves.
@@ -72,7 +72,7 @@ def switched_forms(
     *,
     refines_region: bool = True,
 ) -> list[Hypothesis]:
-    """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
+    """Forms of an empirical law that act only in some spans of its covariate; empty if the law has no such forms.
 
     `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
@@ -103,9 +103,9 @@ def switched_forms(
 def _forms_with_formula_as_second_factor(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve.
+    """List of an empirical law with a switch in which a formula replaces the curve in the second factor.
 
-    `form` is the law with the curve. The effects of `conditioning_model` are estimated in addition.
+    The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -128,7 +128,7 @@ def _span_gram_and_score(
     step_regressors: Sequence[Regressor],
     conditioning_model: EffectModel,
 ) -> SpanGramAndScore:
-    """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next.
+    """Gram matrix and score of an empirical law with separate coefficients in each span from a step to the next.
 
     `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
     addition.
@@ -217,7 +217,7 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 
 
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switched law is on for several targets and off for several targets.
+    """True if a switched empirical law is on for several targets and off for several targets.
 
     Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
     """

@@ -73,7 +73,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter with the scene of a hall, and its legend; `window_size` in pixels, on screen or `off_screen`."""
+    """Plotter of pyvista with the scene of a hall, and the legend of the scene; `window_size` in pixels."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)

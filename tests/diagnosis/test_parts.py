@@ -105,7 +105,7 @@ class Set:
 
     @property
     def model(self) -> SimpleNamespace:
-        return SimpleNamespace(hypotheses=[SimpleNamespace(key=name) for name in self.members])
+        return SimpleNamespace(hypotheses=[SimpleNamespace(effect_key=name) for name in self.members])
 
     @property
     def squared_residual_decreases(self) -> list[np.ndarray]:
