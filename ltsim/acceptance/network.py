@@ -30,7 +30,7 @@ from ltsim.recordings.specification import Specification
 OUTLIER_CAUSE_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
 """Kinds of causes whose pointings are neither adjusted nor tested: outliers, and sights to a badly seated reflector."""
 MAX_OUTLIER_ROUNDS = 3
-"""Largest number of repeated adjustments, each without the outliers identified before."""
+"""Largest number of repeated adjustments of a network, each without the outliers identified before."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_CAUSE_KIND)
 """Kinds of causes of a misfit that may be errors of the tracker. Random displacements at each set-up (`centring`) have
 the same effect as errors of the tracker that repeat in all rounds."""
@@ -135,8 +135,8 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
 
     The reference lengths come from the network adjusted with the instrument constants and with the errors identified in
     the recording, so that they contain neither. The lengths that a station measures in one face contain the errors of
-    the instrument. NetworkError is raised for a network with one station, which has no independent reference lengths,
-    for several instruments, and for a network that cannot be adjusted.
+    the instrument. `instrument_specification` has the limits. NetworkError is raised for a network with one station,
+    which has no independent reference lengths, for several instruments, and for a network that cannot be adjusted.
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")

@@ -104,7 +104,7 @@ def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg:
     """Test of a reference length, centred at the head's height and perpendicular to the line of sight.
 
     `distance` [m] and `azimuth_deg` are horizontal distance and azimuth of the centre of the length, `tilt_deg` is the
-    angle of the length above the horizontal.
+    angle of the length above the horizontal. `test_group` is the name of the group of the test.
     """
     half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
     midpoint = np.array([distance, 0.0, 0.0])
@@ -150,7 +150,10 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError."""
+    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError.
+
+    The table must have the `required_columns`, and may have the `optional_columns`.
+    """
     header, rows = read_small_table(file)
     missing = [name for name in required_columns if name not in header]
     if missing:

@@ -254,7 +254,7 @@ class TestedNetwork:
     def _mean_point_derivatives_by_effects(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances.
 
-        Nuisances are nuisance errors, such as centring errors.
+        Nuisances are nuisance errors, such as centring errors. `row_indices` are the averaged pointings.
         """
         point_changes = self._point_derivatives_by_readings(row_indices) @ self._extra_design[row_indices]
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
@@ -271,5 +271,5 @@ class TestedNetwork:
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Vectors between points: second minus first row of `points` (targets, ...) for each index pair (pairs, 2)."""
+    """Vectors from the first to the second row of `points` (targets, ...) for each pair of `point_pairs` (pairs, 2)."""
     return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

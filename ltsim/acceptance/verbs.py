@@ -224,7 +224,7 @@ def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgemen
 
 
 def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
-    """Sentence with the number of errors of each judgement, and the worst error."""
+    """Sentence with the number of errors of each judgement, the worst error, and the number of unmeasured tests."""
     numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
     worst_entry = _worst_outcome_with_judgement(test_outcomes, judgement)

@@ -123,8 +123,8 @@ def _reported_findings(
 ) -> list[Finding]:
     """Findings of a diagnosis, sorted by decreasing drop of chi-square.
 
-    They are findings of tests, of effects that shift readings, and on changed noise levels. Improbable findings on the
-    noise are reported only if there is no other finding.
+    They are findings of tests (such as blunders), of effects that shift readings, and on changed noise levels.
+    Improbable findings on the noise are reported only if there is no other finding.
     """
     probable_noise = [
         finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
@@ -138,8 +138,9 @@ def _averaged_targets_and_reading_change(
 ) -> tuple[AveragedTargets, Floats]:
     """Averaged target coordinates, and averaged change (n, 3) of the readings of n pointings minus that by the refit.
 
-    The averages are over the possible causes of each finding. If no cause is more probable than not, the coordinates
-    are those of the ordinary adjustment. The unit of the change is [m, rad, rad].
+    The averages are over the possible causes of each finding. `shift_findings` are findings of effects that shift
+    readings, `noise_findings` those on the noise. If no cause is more probable than not, the coordinates are those of
+    the ordinary adjustment. The unit of the change is [m, rad, rad].
     """
     state = model_fit.selection_state
     targets, change = average_over_explanations(
@@ -159,7 +160,8 @@ def _noise_finding(
 ) -> Finding:
     """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
 
-    `has_clock` is True if the recording has times, so that intervals of time are texts of times and not of rows.
+    `global_test` gives its p-value. `has_clock` is True if the recording has times, so that intervals of time are texts
+    of times and not of rows.
     """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))

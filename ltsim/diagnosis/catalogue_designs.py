@@ -94,7 +94,7 @@ class EffectDesignGroup:
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def products_with_vectors(self, effect_range: slice, vectors: Floats | Floats32) -> Floats:
-        """Products (h, k, v) of the k design columns of each of h effects in a range with v `vectors` (m, v).
+        """Products (h, k, v) of the k design columns of each of h effects in `effect_range` with v `vectors` (m, v).
 
         The vectors have one element per observation equation. The design columns are multiplied by `row_factors`.
         """
@@ -327,7 +327,7 @@ class FamilyEvidenceSums:
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
-        """Sums to which no effect has been added, for `n_trials` simulated recordings."""
+        """Sums for `n_families` catalogue effects without any variant, for `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:

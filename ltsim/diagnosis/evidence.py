@@ -90,7 +90,10 @@ def simulated_log_total_evidence(scores: Floats32, eigenvalues: Floats, log_prio
 def _simulated_log_evidence_batches(
     scores: Floats | Floats32, eigenvalues: Floats, log_prior: Floats
 ) -> Iterator[Floats32]:
-    """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings)."""
+    """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings).
+
+    `log_prior` (h,) are the log prior probabilities; `scores` and `eigenvalues` are as for `simulated_log_evidence`.
+    """
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = score_weights_and_constants_by_size(eigenvalues[part])
         constants += log_prior[part, None]

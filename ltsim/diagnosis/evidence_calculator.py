@@ -157,7 +157,7 @@ class EvidenceCalculator:
         return self._rows[place]
 
     def _stacked_designs(self, effects: Sequence[CandidateEffect], affected_rows: AffectedRows) -> tuple[Floats, Ints]:
-        """Whitened design columns (r, q) of several effects side by side on r rows, and the limits of their columns.
+        """Whitened design columns (r, q) of several effects side by side on r affected rows, and limits of columns.
 
         There is one column for each parameter of each effect, q in all. The limits are the indices of the first column
         of each effect, followed by q.

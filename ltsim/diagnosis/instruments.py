@@ -260,7 +260,7 @@ def _instrument_constant_contradiction(
     """Contradiction for the change with the index `change_index`, with the alternatives to this change.
 
     `log_evidences` are the log evidences of all changes, `difference` and `sigma` the difference from the reference and
-    its standard deviation [SI].
+    its standard deviation [SI], and `p_value` its p-value.
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
     alternative_indices = [

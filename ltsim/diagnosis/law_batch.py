@@ -114,7 +114,7 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """Columns (n, d k) of the d regressors in a range, k columns each, for n pointings sorted by cell."""
+        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings sorted by cell."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:

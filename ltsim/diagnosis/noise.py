@@ -166,11 +166,14 @@ class NoiseHypothesisSet:
         )
 
     def _group_noise_log_evidence(self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,), with prior, of noise with a size for each group, for a batch of recordings."""
+        """Log evidence (trials,), with prior, of the noise hypothesis `change` with a size for each group of readings.
+
+        It is computed for a batch of recordings (trials).
+        """
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family_name: str) -> float:
-        """Log prior probability of a kind of noise hypothesis: a catalogue effect, or one outside the catalogue."""
+        """Log prior probability of a kind of noise hypothesis, a catalogue effect or `unknown`, given by its name."""
         return log_prior_of_noise_family(
             family_name, (*self.family_names, *(change.name for change in self.group_noise_hypotheses))
         )
@@ -338,7 +341,7 @@ class NoiseHypothesisSet:
     def _group_noise_log_evidence_of_residuals(
         self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats
     ) -> float:
-        """Log evidence, with prior, of noise with a size for each group, for the residuals (m,) of a recording."""
+        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording."""
         return float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
 
 

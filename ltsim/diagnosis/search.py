@@ -257,7 +257,7 @@ class Searcher:
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the parameters and shape parameters of a hypothesis.
 
-        They are those of the refit, or means over all values of the shape parameters if these means have much larger
+        They are `refit_estimates`, or means over all values of the shape parameters if these means have much larger
         standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect

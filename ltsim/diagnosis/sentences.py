@@ -199,9 +199,10 @@ def diagnosis_summary(
 ) -> str:
     """Summary of a diagnosis in a few sentences.
 
-    `p_value` is the p-value of the global test, `misfit_before` and `misfit_after` are the misfits without and with the
-    findings in the model, `noise_origin` is `declared` or `assumed`, and `n_withheld` is the number of effects in the
-    model that are not reported. `is_contradicted` is true if held-out readings contradict the effects in the model.
+    `verdict` is `consistent` or `mismatch`, and `p_value` the p-value of the global test. `misfit_before` and
+    `misfit_after` are the misfits without and with the findings in the model. `noise_origin` is `declared` or
+    `assumed`. `n_withheld` is the number of effects in the model that are not reported. `is_contradicted` is true if
+    held-out readings contradict the effects in the model.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."

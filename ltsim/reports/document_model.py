@@ -304,7 +304,8 @@ def entries_table_blocks(
     """List with the table of entries of a result file; empty without entries.
 
     The model of the entries gives meanings and units. Each of `fields` is the name of a field, `name=title`, or
-    `name+-sigma` with the field of the standard deviation.
+    `name+-sigma` with the field of the standard deviation. `note` is a text below the table, and `is_marked` selects
+    the entries whose rows are highlighted. With `is_foldable` the page shows only the title of a long table.
     """
     entry_list = list(entries)
     columns: list[results.Column] = []
@@ -340,7 +341,11 @@ def table_blocks(
     marked_rows: frozenset[int] = frozenset(),
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """List with the table of a result as a block, text flush left, numbers flush right; empty without rows."""
+    """List with the table of a result as a block, text flush left, numbers flush right; empty without rows.
+
+    `note` is a text below the table, and `marked_rows` are the indices of highlighted rows. With `is_foldable` the page
+    shows only the title of a long table.
+    """
     if not table.rows:
         return []
     headings = table.headings

@@ -24,7 +24,7 @@ QUALITY_MEASURE_BY_GOAL = {
 
 
 def is_determined_by_readings(sigma: float | None, prior_sigma: float | None) -> bool:
-    """True if the readings at least halve the prior variance of a parameter (sigma < 0.7 prior), or without prior."""
+    """True if a parameter has no prior, or if the readings at least halve its prior variance (sigma < 0.7 prior)."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
@@ -72,7 +72,7 @@ def typographic_text(text: str) -> str:
 def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[bool, str]:
     """Verdict of the two-sided global test: True if readings and model agree, and a text without full stop.
 
-    `p_value` is the probability of a larger chi-square.
+    `chi2` is chi-square with `dof` degrees of freedom, and `p_value` the probability of a larger chi-square.
     """
     if dof <= 0 or p_value is None or not math.isfinite(p_value):
         return True, "the model cannot be tested, because there is no redundancy"

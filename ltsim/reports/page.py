@@ -110,6 +110,9 @@ def document_of_folder(
 ) -> Document:
     """Document of the page that reports the results in a folder.
 
+    `recording` is the recording of the results if it is elsewhere, and `about` has texts for the head of the page by
+    name.
+
     Raises
     ------
     RecordError

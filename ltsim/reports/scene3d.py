@@ -73,7 +73,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter of pyvista with the scene of a hall, and the legend of the scene; `window_size` in pixels."""
+    """Plotter of pyvista and legend of the scene of a hall, in a window of `window_size` pixels or `off_screen`."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)

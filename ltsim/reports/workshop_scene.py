@@ -261,6 +261,7 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
     """Vertical walls with at least four nests: each is an axis (0: x, 1: y), a sign, and a coordinate [m] on that axis.
 
     The sign is the direction from the wall into the hall. The nests face the hall, and no target is behind the wall.
+    `points` and `nest_normals` are the coordinates and the unit normals of the nests.
     """
     planes = []
     for axis in range(2):

@@ -273,7 +273,7 @@ def _sight_matrix(workshop: WorkshopScene) -> Bools | None:
 
 
 def _draw_visibility_pies(ax: Axes, workshop: WorkshopScene, is_visible: Bools) -> None:
-    """Draw each target as a circle with a slice in the colour of each station that sees it."""
+    """Draw each target as a circle with a slice in the colour of each station that sees it (mask `is_visible`)."""
     x, y = workshop.target_points[:, :2].T
     marker_size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
     label = "target: slices are the\nstations that see it"

@@ -272,7 +272,8 @@ def values_with_intervals_figure(
 ) -> Figure:
     """Figure of values with intervals, one row for each name; dashed lines at reference values.
 
-    `reference_values` has the label of each group of lines as key, and as value the reference values of the rows.
+    `values_by_name` has the value and its limits by name, and `label` is the axis label. `reference_values` has the
+    label of each group of lines as key, and as value the reference values of the rows.
     """
     lines = ["\n".join(wrap(name, 34)) for name in values_by_name]
     figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))

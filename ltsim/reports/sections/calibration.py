@@ -150,7 +150,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
 
 
 def _summary_sentence(content: Calibration, agreement_text: str, targets: Path | None) -> str:
-    """Summary: determined parameters, agreement, improvement of distances, outliers, uncertainty of the targets."""
+    """Summary: determined parameters, verdict `agreement_text`, improvement of distances, outliers, uncertainty."""
     station_count = count_text(len(content.stations), "station")
     if not content.parameters:
         sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_text}"

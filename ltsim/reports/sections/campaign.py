@@ -279,7 +279,8 @@ def campaign_figure(results: CampaignResults) -> Figure:
 def _trial_distributions(results: CampaignResults, published_values: Mapping[str, float]) -> list[TrialDistribution]:
     """Distributions over the trials of the first cell (combination of factor levels) and the first method.
 
-    They are those of the criteria, or without criteria those of other errors.
+    They are those of the criteria, or without criteria those of other errors. `published_values` are values by column
+    to compare with.
     """
     cell = results.manifest.cells[0].cell
     error_columns = [c for c in results.columns if c.endswith(("_um", "_percent"))]
@@ -299,7 +300,10 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
 
 
 def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
-    """Histograms of the criteria of the first method, if there is only one combination of factor levels (cell)."""
+    """Histograms of the criteria of the first method, if there is only one combination of factor levels (cell).
+
+    `published_values` are values by column to compare with.
+    """
     distributions = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
     caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"

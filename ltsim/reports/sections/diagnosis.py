@@ -224,7 +224,8 @@ def _finding_blocks(
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
 
-    The sentence is omitted if the summary `summary` contains it.
+    The sentence is omitted if the summary `summary` contains it. `adjustments` are those without and with instrument
+    parameters, from which the floor plan is drawn.
     """
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
@@ -301,7 +302,8 @@ def _finding_place_blocks(
 ) -> list[Block]:
     """List with a floor plan that marks the stations, targets or area of a finding, or its two exchanged targets.
 
-    The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets.
+    The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets. `adjustments` are
+    those without and with instrument parameters, from which the floor plan is drawn.
     """
     from ltsim.reports.workshop_scene import workshop_from_adjustment
 

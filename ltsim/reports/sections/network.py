@@ -180,7 +180,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
 def undetermined_combination_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
-    """Table of undetermined combinations of parameters, with the measurement that determines each combination."""
+    """Table of undetermined combinations of parameters, with the measurement that determines each of them."""
     table_rows = [
         [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
     ]
@@ -196,7 +196,10 @@ def determined_combination_tables(title: str, determined_entries: Sequence[Deter
 
 
 def target_tables(file: Path | None, *, note: str) -> list[TableBlock]:
-    """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file."""
+    """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file.
+
+    `note` is a text below the table.
+    """
     if file is None:
         return []
     names, points, sigma = read_targets(file)
@@ -247,7 +250,7 @@ def target_uncertainty_sentence(sigma: Floats) -> str:
 
 
 def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residuals: bool = False) -> Section:
-    """Section of a recording; residuals are omitted if the section of its calibration shows them.
+    """Section of a recording; with `omits_residuals`, the section of its calibration shows the residuals.
 
     Raises
     ------

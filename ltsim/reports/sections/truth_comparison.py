@@ -42,7 +42,11 @@ def effect_place_text(effect: Any) -> str:
 def truth_blocks(
     content: Diagnosis, truth: Truth, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> list[Block]:
-    """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
+    """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis.
+
+    `truth` has the injected effects. `adjustments` are those without and with instrument parameters, from which the
+    changes of the readings are computed.
+    """
     applied_by_name = {applied.effect.name: applied for applied in truth.applied_effects}
     effects_of_findings = [applied_by_name.get(f.effect) for f in content.findings]
     effects_of_findings += [
