@@ -17,7 +17,7 @@ uncertainty, `rejected` if it is above its limit by more than its expanded uncer
 without an uncertainty is compared with its limit directly."""
 
 
-JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
+JUDGEMENTS_FROM_WORST_TO_BEST: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
 """Judgements of measured errors in the order from the worst to the best."""
 
 
@@ -63,7 +63,7 @@ class TestOutcome(Entry):
         share = self.lower_bound_to_limit_ratio
         if self.judgement != "rejected":
             share += 2 * (self.expanded_uncertainty_um or 0.0) / self.limit_um
-        return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
+        return self.pass_probability or 0.0, JUDGEMENTS_FROM_WORST_TO_BEST.index(self.judgement or "accepted"), -share
 
 
 class TestGroupSummary(Entry):

@@ -85,7 +85,7 @@ class AcceptancePlan:
         return errors
 
     @cached_property
-    def sensitivities(self) -> Floats:
+    def test_error_derivatives(self) -> Floats:
         """Derivative (tests, 2, constants) [m per SI unit] of the test errors by the instrument constants."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.test_errors(s) - self.test_errors(-s)) / (2 * s.sum()) for s in steps]
@@ -132,7 +132,8 @@ class AcceptancePlan:
         for start in range(0, n_trials, 2000):
             count = min(2000, n_trials - start)
             drawn = (
-                rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
+                rng.standard_normal((count, root.shape[1]))
+                @ (self.test_error_derivatives @ root).reshape(-1, root.shape[1]).T
             )
             noise = rng.standard_normal((count, *self.error_sigmas.shape)) * self.error_sigmas
             within = self.is_within_limits(mean_errors + drawn.reshape(count, *mean_errors.shape) + noise)
@@ -141,7 +142,8 @@ class AcceptancePlan:
             for name, mine in of_group.items():
                 groups[name] += int(within[:, mine].all(axis=1).sum())
         variance = (
-            np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.error_sigmas**2
+            np.einsum("kip,pq,kiq->ki", self.test_error_derivatives, covariance, self.test_error_derivatives)
+            + self.error_sigmas**2
         )
         return AcceptancePrediction(
             expected_errors=mean_errors,
@@ -160,7 +162,7 @@ class AcceptancePlan:
 
         All other constants are zero. The size is infinite if no test depends on the constant.
         """
-        per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
+        per_unit = np.linalg.norm(self.test_error_derivatives, axis=1) / self.permissible_errors[:, None]
         indices = np.argmax(per_unit, axis=0)
         max_errors = per_unit[indices, np.arange(len(indices))]
         prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
@@ -180,7 +182,7 @@ class AcceptancePlan:
         `MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
-        directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
+        directions = (self.test_error_derivatives * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
             -1, len(prior_sigmas)
         )
         metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS**2

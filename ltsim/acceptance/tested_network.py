@@ -61,7 +61,7 @@ class TestedNetwork:
     """True if the readings are corrected by the estimated instrument constants before the tests."""
 
     @cached_property
-    def _extra_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
+    def _additional_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
         """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
         effects = self.adjustment.problem.model.extra_effects
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
@@ -71,7 +71,8 @@ class TestedNetwork:
     def _is_non_tracker_parameter(self) -> Bools:
         """Mask (additional parameters,) of the parameters of effects that are no errors of the tracker."""
         flags = [
-            np.full(at.stop - at.start, is_non_tracker_effect(effect)) for effect, at in self._extra_parameter_slices
+            np.full(at.stop - at.start, is_non_tracker_effect(effect))
+            for effect, at in self._additional_parameter_slices
         ]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
@@ -82,7 +83,7 @@ class TestedNetwork:
         return np.arange(len(self._is_non_tracker_parameter)) >= n_effect_parameters
 
     @cached_property
-    def _extra_design(self) -> Floats:
+    def _additional_parameter_design(self) -> Floats:
         """Change (pointings, 3, parameters) of readings per unit of each parameter of an effect or nuisance error."""
         return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
 
@@ -97,7 +98,7 @@ class TestedNetwork:
         if self.is_corrected_by_estimated_constants:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
-        for effect, at in self._extra_parameter_slices:
+        for effect, at in self._additional_parameter_slices:
             if is_non_tracker_effect(effect):
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
         return to_polar(from_polar(readings))
@@ -256,7 +257,9 @@ class TestedNetwork:
 
         Nuisances are nuisance errors, such as centring errors. `row_indices` are the averaged pointings.
         """
-        point_changes = self._point_derivatives_by_readings(row_indices) @ self._extra_design[row_indices]
+        point_changes = (
+            self._point_derivatives_by_readings(row_indices) @ self._additional_parameter_design[row_indices]
+        )
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
 
     def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.acceptance.files import (
-    JUDGEMENT_ORDER,
+    JUDGEMENTS_FROM_WORST_TO_BEST,
     AcceptanceFile,
     Judgement,
     TestOutcome,
@@ -226,7 +226,7 @@ def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgemen
 def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
     """Sentence with the number of errors of each judgement, the worst error, and the number of unmeasured tests."""
     numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
-    judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
+    judgement = next(j for j in JUDGEMENTS_FROM_WORST_TO_BEST if numbers[j])
     worst_entry = _worst_outcome_with_judgement(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
         "" if worst_entry.expanded_uncertainty_um is None else f" +- {worst_entry.expanded_uncertainty_um:.1f} um"

@@ -80,7 +80,7 @@ def assemble_diagnosis(
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
     if model.hypotheses or state.selected_noise_hypotheses:
-        dof = baseline.dof - model.basis.shape[1]
+        dof = baseline.dof - model.projected_basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
     verdict = "mismatch" if is_mismatch or test_findings else "consistent"
     detectable, undetectable = detectability

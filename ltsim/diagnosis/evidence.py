@@ -40,13 +40,13 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import to_dense
 
 
-def index_of_largest(log_evidences: Floats) -> int:
+def index_of_most_evidence(log_evidences: Floats) -> int:
     """Index of the largest log evidence; the middle index if several values are equal, as on a plateau."""
     ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - NORMAL_EQUATIONS_TOLERANCE)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(log_evidences: Floats, tie_tolerance: float = NORMAL_EQUATIONS_TOLERANCE) -> Ints:
+def indices_by_evidence(log_evidences: Floats, tie_tolerance: float = NORMAL_EQUATIONS_TOLERANCE) -> Ints:
     """Indices in the order of decreasing log evidence; values that differ by up to `tie_tolerance` keep their order."""
     falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")

@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients, log_evidence_of_effect
+from ltsim.diagnosis.evidence import index_of_most_evidence, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -59,7 +59,7 @@ class EvidenceCalculator:
             designs, column_edges = self._stacked_designs(batch_effects, rows)
             self._cache_projected_grams(batch_effects, designs, column_edges, rows)
             overlap, score = (
-                conditioning_model.basis[rows.row_indices].T @ designs,
+                conditioning_model.projected_basis[rows.row_indices].T @ designs,
                 conditioning_model.residual[rows.row_indices] @ designs,
             )
             for i, low, high in zip(members, column_edges[:-1], column_edges[1:], strict=True):
@@ -113,7 +113,7 @@ class EvidenceCalculator:
             moving_indices = []
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, first_indices), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
-                top = index_of_largest(parts)
+                top = index_of_most_evidence(parts)
                 if parts[top] > values[i] + NORMAL_EQUATIONS_TOLERANCE * max(1.0, abs(values[i])):
                     best[i], values[i] = neighbours[top], parts[top]
                     moving_indices.append(i)

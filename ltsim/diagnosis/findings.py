@@ -83,7 +83,7 @@ class SelectedModelFit:
         effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
-        redundancy = searcher.residual_space.redundancy - np.sum(model.basis**2, axis=1)
+        redundancy = searcher.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
         shift = searcher.residual_space.whitened_design(effect) @ coefficient_means
         likeness = log_bayes_factor_of_discrepancy(searcher.residual_space, shift, model.residual, redundancy)
         ranking = searcher.ranking(reduced_model).with_further_hypotheses(noises).with_unmodelled_cause(likeness)
@@ -180,7 +180,7 @@ class SelectedModelFit:
         other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
-        redundancy = searcher.residual_space.redundancy - np.sum(other_model.basis**2, axis=1)
+        redundancy = searcher.residual_space.redundancy - np.sum(other_model.projected_basis**2, axis=1)
         prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
         rival = log_evidence_of_wrong_readings(searcher.residual_space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
@@ -246,7 +246,7 @@ class SelectedModelFit:
             parameters=estimates,
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
-                parameters=model.basis.shape[1] - others.basis.shape[1],
+                parameters=model.projected_basis.shape[1] - others.projected_basis.shape[1],
                 p_value=self.global_test.p_value_of(ranking.total_log_evidence),
                 probability=probability,
                 p_same_scope=p_same_scope,

@@ -13,7 +13,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.component_ratios import best_component_ratio
-from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_most_evidence, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
@@ -120,7 +120,7 @@ def evaluate_law_forms(
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     """Index of the hypothesis in `forms` with the largest log evidence."""
-    return index_of_largest(np.array([form.log_evidence for form in forms]))
+    return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
@@ -146,7 +146,7 @@ def _functional_forms(
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.plausible_sizes for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
-        candidates.append((share, scales[index_of_largest(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
+        candidates.append((share, scales[index_of_most_evidence(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
@@ -257,7 +257,7 @@ def _piecewise_forms(
         values[remaining] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
-        atom_indices.append(index_of_largest(values))
+        atom_indices.append(index_of_most_evidence(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * log_price
         if value > best + NORMAL_EQUATIONS_TOLERANCE:
             best, n_selected = value, len(atom_indices)

@@ -21,21 +21,21 @@ from ltsim.diagnosis.search import Searcher
 class GlobalTestResult:
     """Result of the global tests of a recording: the search over all hypotheses, and the chi-square test."""
 
-    statistic: float
+    test_statistic: float
     """Test statistic: log of the sum of the evidence of all hypotheses of the search."""
     chi2_p_value: float
     """One-sided p-value of chi-square in the ordinary adjustment; NaN without redundancy."""
-    null_statistics: Floats
+    null_test_statistics: Floats
     """Test statistics of simulated recordings without any effect, one per recording."""
 
     @property
     def p_value(self) -> float:
         """p-value of the recording in the complete search, corrected for the number of hypotheses."""
-        return self.p_value_of(self.statistic)
+        return self.p_value_of(self.test_statistic)
 
     def critical_value(self, alpha: float) -> float:
         """Value of the test statistic that a recording without effects exceeds with the probability `alpha`."""
-        return float(np.quantile(self.null_statistics, 1.0 - alpha))
+        return float(np.quantile(self.null_test_statistics, 1.0 - alpha))
 
     def p_value_of(self, statistic: float) -> float:
         """p-value of a value of the test statistic: (k + 1) / (n + 1) if k of n simulated recordings reach this value.
@@ -43,8 +43,8 @@ class GlobalTestResult:
         A recording without effects is exchangeable with the simulated recordings. Its p-value is therefore at most p
         with a probability of at most p. The smallest p-value is 1 / (n + 1).
         """
-        return (int(np.sum(self.null_statistics >= statistic - MAX_LOG_EVIDENCE_ROUNDING_ERROR)) + 1) / (
-            len(self.null_statistics) + 1
+        return (int(np.sum(self.null_test_statistics >= statistic - MAX_LOG_EVIDENCE_ROUNDING_ERROR)) + 1) / (
+            len(self.null_test_statistics) + 1
         )
 
 
@@ -55,8 +55,8 @@ def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) ->
     simulated_evidence = noise_hypotheses.log_evidence_by_family(
         searcher.null_ensemble.simulated_residuals, space.redundancy
     )
-    statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.statistic)))
-    null = np.logaddexp(log_sum_exp(simulated_evidence), searcher.empty_model_screening.null_statistics)
+    statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.test_statistic)))
+    null = np.logaddexp(log_sum_exp(simulated_evidence), searcher.empty_model_screening.null_test_statistics)
     chi2, dof = float(space.whitened_residuals @ space.whitened_residuals), space.adjustment.dof
     chi2_p_value = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     return GlobalTestResult(statistic, chi2_p_value, null)

@@ -14,7 +14,7 @@ from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED
 from ltsim.calibration.evidence import LOG_EFFECT_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest
+from ltsim.diagnosis.evidence import index_of_most_evidence
 from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
 from ltsim.diagnosis.schema import EquivalentEffect
 from ltsim.physics.effects import find_effect
@@ -82,7 +82,7 @@ class EffectModel:
         return [h.effect for h in self.hypotheses]
 
     @cached_property
-    def basis(self) -> Floats:
+    def projected_basis(self) -> Floats:
         """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
         if not self.hypotheses:
             return np.zeros((len(self.baseline_residual), 0))
@@ -91,7 +91,9 @@ class EffectModel:
     @cached_property
     def residual(self) -> Floats:
         """Whitened residuals (m,) of m observation equations in the adjustment with all effects of the model."""
-        residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
+        residual: Floats = self.baseline_residual - self.projected_basis @ (
+            self.projected_basis.T @ self.baseline_residual
+        )
         return residual
 
     @cached_property
@@ -298,7 +300,7 @@ def _size_averaged_log_evidence(model: EffectModel) -> float:
             tried = np.tile(best, (len(RELATIVE_EFFECT_SIZES), 1))
             tried[:, i] = every
             values = log_evidence_at_sizes(tried)
-            best[i] = index_of_largest(values)
+            best[i] = index_of_most_evidence(values)
             neighbours[i] = every[values > values.max() - MIN_LOG_EVIDENCE_CERTAIN]
     return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 

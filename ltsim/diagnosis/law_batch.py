@@ -151,7 +151,7 @@ class LawBatch:
     """Functions of covariates (D regressors with k columns each) that the empirical laws follow."""
     places: tuple[LawPlace, ...]
     """Stations, targets or instruments where the empirical laws act, P places."""
-    partition: PointingPartition
+    pointing_partition: PointingPartition
     """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
@@ -257,9 +257,10 @@ class LawBatch:
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
         cell_sums = np.zeros(
-            (len(self.partition.cell_edges) - 1, columns.shape[1], count * n_components * vectors), dtype=np.float32
+            (len(self.pointing_partition.cell_edges) - 1, columns.shape[1], count * n_components * vectors),
+            dtype=np.float32,
         )
-        for part, rows, cells in self.partition.pointing_batches(count * n_components * vectors):
+        for part, rows, cells in self.pointing_partition.pointing_batches(count * n_components * vectors):
             whitened_response_designs = self.whitened_response_designs[rows].reshape(len(rows), 3, -1)
             moved = (np.swapaxes(whitened_response_designs, 1, 2) @ null_ensemble.vectors_of_pointings(rows)).reshape(
                 len(rows), -1
@@ -267,7 +268,7 @@ class LawBatch:
             transposed_columns = columns[part].T
             for cell, at in cells:
                 cell_sums[cell] += transposed_columns[:, at] @ moved[at]
-        products = self.partition.sums_over_places(cell_sums).reshape(
+        products = self.pointing_partition.sums_over_places(cell_sums).reshape(
             len(self.places), d, -1, count, n_components, vectors
         )
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
@@ -281,8 +282,10 @@ class LawBatch:
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * n_components * n_components, d * k * k))
-        for part, rows, cells in self.partition.pointing_batches(d * k * k):
+        cell_sums = np.zeros(
+            (len(self.pointing_partition.cell_edges) - 1, count * n_components * n_components, d * k * k)
+        )
+        for part, rows, cells in self.pointing_partition.pointing_batches(d * k * k):
             blocks, whitened_response_designs = (
                 columns[part].reshape(len(rows), d, k),
                 self.whitened_response_designs[rows],
@@ -295,7 +298,7 @@ class LawBatch:
             )
             for cell, at in cells:
                 cell_sums[cell] += response_products[:, at] @ pairs[at]
-        grams = self.partition.sums_over_places(cell_sums).reshape(
+        grams = self.pointing_partition.sums_over_places(cell_sums).reshape(
             len(self.places), count, n_components, n_components, d, k, k
         )
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, n_components * k, n_components * k)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION, index_of_largest
+from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION, index_of_most_evidence
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.switches import switched_forms
@@ -72,7 +72,7 @@ def product_forms(
         return []
     laws = [_law_product(law, weight) for weight in weights]
     log_evidences = calculator.log_evidence(laws, conditioning_model)
-    top = index_of_largest(log_evidences)
+    top = index_of_most_evidence(log_evidences)
     prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
     if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION:
         return []

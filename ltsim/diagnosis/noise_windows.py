@@ -16,7 +16,11 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import index_of_largest, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.evidence import (
+    index_of_most_evidence,
+    log_restricted_likelihood_ratio,
+    normalised_probabilities,
+)
 from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseHypothesis
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
@@ -184,7 +188,7 @@ class NoiseWindows(GroupNoiseHypothesis):
         if not places:
             return ()
         place = places[
-            index_of_largest(
+            index_of_most_evidence(
                 np.array([self._log_evidence_of_effect(effect, residual, redundancy) for effect in places])
             )
         ]

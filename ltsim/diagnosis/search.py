@@ -30,7 +30,7 @@ from ltsim.diagnosis.catalogue_designs import (
 from ltsim.diagnosis.evidence import (
     N_EXACTLY_EVALUATED_HYPOTHESES,
     coefficient_posterior,
-    ranked_indices,
+    indices_by_evidence,
 )
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_law_forms, min_log_evidence_for_forms
@@ -71,9 +71,9 @@ class ScreeningResult(NamedTuple):
     """Log evidence (families,) of each catalogue effect, averaged over its variants, with prior."""
     laws: list[ScreenedLaw]
     """Empirical laws with the largest evidence at each place (stations, targets or instruments)."""
-    statistic: float
+    test_statistic: float
     """Test statistic of the global test: log of the summed evidence of all hypotheses."""
-    null_statistics: Floats
+    null_test_statistics: Floats
     """Values (trials,) of the test statistic for each simulated recording (trial) of the null ensemble."""
 
 
@@ -136,7 +136,7 @@ class Searcher:
         reduced = copy(self)
         reduced.residual_space, reduced.uses_fewer_evaluations = self.residual_space.with_design_columns(unit), True
         reduced.null_ensemble = self.null_ensemble.with_model(
-            reduced.residual_space.whitened_residuals, self.empty_model.basis
+            reduced.residual_space.whitened_residuals, self.empty_model.projected_basis
         )
         reduced.empty_model = EffectModel.from_residual_space((), reduced.residual_space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
@@ -154,7 +154,7 @@ class Searcher:
     def _screening(self, conditioning_model: EffectModel) -> ScreeningResult:
         """Screening of all catalogue effects and empirical laws given the effects of a model."""
         probe = (
-            self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.basis)
+            self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.projected_basis)
             if conditioning_model.hypotheses
             else self.null_ensemble
         )
@@ -176,7 +176,7 @@ class Searcher:
             self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
         hypotheses = self._law_hypotheses(laws, conditioning_model)
-        for i, family in enumerate(ranked_indices(families, MAX_LOG_EVIDENCE_ROUNDING_ERROR)):
+        for i, family in enumerate(indices_by_evidence(families, MAX_LOG_EVIDENCE_ROUNDING_ERROR)):
             hypotheses.append(
                 self._best_hypothesis_of_family(
                     int(family),
@@ -190,7 +190,7 @@ class Searcher:
             replace(h, log_evidence=h.log_evidence + log_prior_odds_of_repetition(h, conditioning_model.hypotheses))
             for h in hypotheses
         ]
-        hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
+        hypotheses = [hypotheses[i] for i in indices_by_evidence(np.array([h.log_evidence for h in hypotheses]))]
         return HypothesisRanking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
 
     def _best_hypothesis_of_family(
@@ -209,7 +209,7 @@ class Searcher:
         """
         designs = self.catalogue_designs
         indices = np.flatnonzero(designs.family_indices == family_index)
-        indices = indices[ranked_indices(effect_log_evidence[indices], MAX_LOG_EVIDENCE_ROUNDING_ERROR)]
+        indices = indices[indices_by_evidence(effect_log_evidence[indices], MAX_LOG_EVIDENCE_ROUNDING_ERROR)]
         prior = float(designs.log_prior_by_family[family_index] - np.log(len(indices)))
         best = Hypothesis(designs.effects[indices[0]], prior, family_log_evidence, designs.family_names[family_index])
         if not is_exact:
@@ -230,7 +230,7 @@ class Searcher:
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_LOG_EVIDENCE_ROUNDING_ERROR)
+        order = indices_by_evidence(np.array([h.log_evidence for h in laws]), MAX_LOG_EVIDENCE_ROUNDING_ERROR)
         laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
         for hit in laws:
             place, driver = hit.place, hit.regressor.with_field_centred_on(hit.place.targets)
@@ -328,8 +328,8 @@ class Searcher:
     def model_by_forward_steps(self, rival_log_evidence: float) -> EffectModel:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
-        The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
-        end when it would not exceed it even if all further effects gained as much evidence as the last effect.
+        The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative, or when it
+        could not exceed it even if all further effects gained as much evidence as the last effect.
         """
         return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)
 

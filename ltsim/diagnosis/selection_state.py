@@ -195,8 +195,8 @@ class SelectionState:
 
         They are sorted by decreasing evidence.
         """
-        redundancy = self.residual_space.redundancy - np.sum(model.basis**2, axis=1)
-        ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.basis)
+        redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
+        ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)
         for gain, hypothesis in log_evidence_and_centring_hypotheses(self.residual_space.with_effects(model.effects)):
             ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family_name), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.evidence import index_of_largest, normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import index_of_most_evidence, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.schema import ParameterEstimate
@@ -114,13 +114,13 @@ def _integrate_over_shape(
 
     logs = log_evidence_at(u)
     for _ in range(N_GRID_REFINEMENTS):
-        top = index_of_largest(logs)
+        top = index_of_most_evidence(logs)
         near = u[max(top - 1, 0) : top + 2]
         more = np.setdiff1d(np.linspace(near[0], near[-1], N_REFINEMENT_GRID_POINTS), u)
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
     best_effect = effect.with_constants(
-        **{shape.name: shape_parameter_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
+        **{shape.name: shape_parameter_at_position(shape, low, high, float(u[index_of_most_evidence(logs)]))}
     )
     height = np.exp(logs - logs.max())
     return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))

@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_most_evidence, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.physics.laws.catalogue_names import catalogue_name
@@ -116,7 +116,7 @@ def _forms_with_formula_as_second_factor(
     )
     if not formulas:
         return []
-    best_formula = formulas[index_of_largest(calculator.log_evidence(formulas, conditioning_model))]
+    best_formula = formulas[index_of_most_evidence(calculator.log_evidence(formulas, conditioning_model))]
     refined, value = calculator.refine_locally([best_formula], conditioning_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
@@ -187,7 +187,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
         values[square < MIN_SWITCHED_MEAN_SQUARE_RATIO] = -np.inf
-        state = states[index_of_largest(values)]
+        state = states[index_of_most_evidence(values)]
         total = float(log_sum_exp(values)) - turn * price
         if total > value + NORMAL_EQUATIONS_TOLERANCE:
             best, value, taken = state, total, turn

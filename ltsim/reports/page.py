@@ -26,7 +26,7 @@ from ltsim.reports.document_model import (
     SectionContext,
 )
 from ltsim.reports.formatting import natural_sort_key, typographic_text
-from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
+from ltsim.reports.sections import SECTION_FUNCTION_BY_RESULT_FILE, read_content, result_section
 from ltsim.reports.sections.network import TRUTH_FILE_NAME, recording_section
 
 HEADLINE_BY_KIND_AND_ASSESSMENT = {
@@ -82,7 +82,7 @@ RESULT_FILES_IN_PAGE_ORDER = (
     "diagnosis.json",
     "calibration.json",
     OBSERVATIONS_FILE,
-    *(k for k in SECTION_WRITERS if k not in FIRST_RESULT_FILE_NAMES),
+    *(k for k in SECTION_FUNCTION_BY_RESULT_FILE if k not in FIRST_RESULT_FILE_NAMES),
     CAMPAIGN_MANIFEST_FILE_NAME,
 )
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""

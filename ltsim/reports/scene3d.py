@@ -164,11 +164,13 @@ def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
 def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, float, float] | None:
     """Draw each line of sight once, coloured by its largest value; returns label, lowest and highest value."""
     sights = workshop.sights
-    if sights is None or not len(sights.station):
+    if sights is None or not len(sights.station_indices):
         return None
-    pairs, place = np.unique(np.stack([sights.station, sights.target], axis=1), axis=0, return_inverse=True)
+    pairs, place = np.unique(
+        np.stack([sights.station_indices, sights.target_indices], axis=1), axis=0, return_inverse=True
+    )
     value = np.full(len(pairs), -np.inf)
-    np.maximum.at(value, place.ravel(), sights.value)
+    np.maximum.at(value, place.ravel(), sights.values)
     ends = np.stack([workshop.station_positions[pairs[:, 0]], workshop.target_points[pairs[:, 1]]], axis=1).reshape(
         -1, 3
     )

@@ -66,7 +66,7 @@ MODEL_BY_FILE_NAME: dict[str, type[BaseModel]] = {
 }
 """Data models of all files, including those that users write, by name of the file."""
 
-COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
+COMPANION_TABLES_BY_RESULT_FILE: dict[str, tuple[Table, ...]] = {
     Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
     BenchFile.FILE: (BENCH_TABLE,),
     Truth.FILE: (NOMINAL_TABLE,),
@@ -99,7 +99,7 @@ def companion_table_descriptions() -> dict[str, list[dict[str, Any]]]:
             }
             for table in companions
         ]
-        for file, companions in COMPANION_TABLES.items()
+        for file, companions in COMPANION_TABLES_BY_RESULT_FILE.items()
     }
 
 

@@ -48,11 +48,11 @@ DRAWN_FLOOR_MARGIN = 0.4
 class DrawnSights:
     """Lines of sight to draw, n of them, each with a value that determines its colour."""
 
-    station: Ints
+    station_indices: Ints
     """Index (n,) of the station of each line."""
-    target: Ints
+    target_indices: Ints
     """Index (n,) of the target of each line."""
-    value: Floats
+    values: Floats
     """Value (n,) of each line, which determines its colour."""
     value_label: str
     """Name of the values with their unit."""
@@ -136,7 +136,7 @@ class WorkshopScene(ValueEquality):
         """Lines of sight to nests with a normal, and the angle [deg] between beam and normal; None without normals."""
         if self.sights is None or not np.isfinite(self.nest_normals).any():
             return None
-        station, target = self.sights.station, self.sights.target
+        station, target = self.sights.station_indices, self.sights.target_indices
         beam = self.station_positions[station] - self.target_points[target]
         cosine = np.sum(beam * self.nest_normals[target], axis=1) / np.linalg.norm(beam, axis=1)
         has_normal = np.isfinite(cosine)

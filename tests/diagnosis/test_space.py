@@ -181,7 +181,7 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     base = EffectModel((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
-        values = [alone(space, effect, base.residual, base.basis) for effect in effects]
+        values = [alone(space, effect, base.residual, base.projected_basis) for effect in effects]
         np.testing.assert_allclose(exact.log_evidence(effects, base), values, rtol=1e-8)
     np.testing.assert_allclose(exact.whitened_design(local[0]), space.whitened_design(local[0]))
 
@@ -232,7 +232,7 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
         probe = NullEnsemble.from_residual_space(space, 0, 0)
         _, _, cards = CatalogueDesigns.from_residual_space(space, steps).screen(probe)
-        values.append(cards.screen(probe.with_model(base.residual, base.basis))[0])
+        values.append(cards.screen(probe.with_model(base.residual, base.projected_basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 

@@ -26,7 +26,7 @@ LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
 """Ratio of height to width of an area above which its label is vertical, because the area is too narrow for it."""
-LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
+LABEL_BOX_SETTINGS = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
 
@@ -77,7 +77,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
                 ax.annotate(
                     label.text, tuple(label.anchor), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.font_size, fontweight="bold" if label.is_bold else "normal",
-                    color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BACKGROUND,
+                    color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BOX_SETTINGS,
                     rotation=90.0 if label.is_vertical else 0.0,
                 )  # fmt: skip
                 break
@@ -268,7 +268,7 @@ def _sight_matrix(workshop: WorkshopScene) -> Bools | None:
     if workshop.sights is None or shape[0] > len(style.COLOUR_CYCLE) or not len(workshop.blocked_sights):
         return None
     is_visible = np.zeros(shape, dtype=bool)
-    is_visible[workshop.sights.station, workshop.sights.target] = True
+    is_visible[workshop.sights.station_indices, workshop.sights.target_indices] = True
     return is_visible
 
 

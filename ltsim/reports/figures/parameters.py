@@ -309,7 +309,7 @@ def lines_with_intervals_figure(
     return figure
 
 
-MAX_NAMED_LAYOUTS = 14
+MAX_LABELLED_LAYOUTS = 14
 """Largest number of layouts with a label in a figure; the first layouts are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
 """Colour of a layout in the figure of quality over duration, by its role (`chosen` is the plan)."""
@@ -351,7 +351,7 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
             ax.scatter(hours, quality, zorder=4 if role != "tried" else 2, linewidths=0, **marker_style)
             if role == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    for hour, size, layout_text in points_by_role["best"][:MAX_NAMED_LAYOUTS]:
+    for hour, size, layout_text in points_by_role["best"][:MAX_LABELLED_LAYOUTS]:
         ax.annotate(layout_text, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
     if (all_qualities > 0).all() and all_qualities.max() > 20 * all_qualities.min():
         ax.set_yscale("log")

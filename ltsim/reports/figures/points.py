@@ -121,7 +121,7 @@ TWO_FACE_COMPONENT_MARKERS = (
     ("elevation", style.GREEN, "^"),
 )
 """Name, colour and marker of each component of a two-face difference."""
-MAX_NAMED_TARGETS = 40
+MAX_TARGETS_WITH_AXIS_NAMES = 40
 """Number of targets above which their names are not written on the axis."""
 MAX_LEGEND_STATIONS = 8
 """Largest number of stations in a legend; only the first stations are listed."""
@@ -175,7 +175,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     ax.set_xlim(-0.8, n_drawn - 0.2)
     low, high = ax.get_ylim()
     ax.set_ylim(low, low + (high - low) / AXES_HEIGHT_FRACTION_BELOW_LEGEND)
-    shows_names = len(names) <= MAX_NAMED_TARGETS
+    shows_names = len(names) <= MAX_TARGETS_WITH_AXIS_NAMES
     ax.set_xticks(
         range(n_drawn) if shows_names else [],
         [style.shortened_name(n) for n in names] if shows_names else [],

@@ -7,7 +7,7 @@ from typing import Any
 from ltsim.recordings.result_file import ResultFile, read_result
 from ltsim.reports.document_model import Section, SectionContext
 
-SECTION_WRITERS = {
+SECTION_FUNCTION_BY_RESULT_FILE = {
     "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
     "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
@@ -23,14 +23,14 @@ SECTION_WRITERS = {
 
 def read_content(folder: Path, file: str) -> ResultFile:
     """Content of a result file in a folder; raises RecordError."""
-    module, model, _ = SECTION_WRITERS[file]
+    module, model, _ = SECTION_FUNCTION_BY_RESULT_FILE[file]
     content: ResultFile = read_result(folder, getattr(_import_section_module(module), model))
     return content
 
 
 def result_section(content: ResultFile, context: SectionContext | None = None) -> Section:
     """Section of a result for a page or a terminal."""
-    module, _, function = SECTION_WRITERS[content.FILE]
+    module, _, function = SECTION_FUNCTION_BY_RESULT_FILE[content.FILE]
     section: Section = getattr(_import_section_module(module), function)(content, context or SectionContext())
     return section
 

@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
 """Smallest change [%] of a criterion (mean disagreement of the stations) that is reported: half of the last digit."""
-CONVERGED_STATUSES = ("", "converged", "not stated")
+STATUSES_WITHOUT_WARNING = ("", "converged", "not stated")
 """Statuses of a fit for which the page has no warning."""
 
 
@@ -89,7 +89,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
     agrees, agreement_words = global_test_verdict(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         agreement_words = "the noise was estimated from the same readings, so the global test does not apply"
-    converged = content.fit.status in CONVERGED_STATUSES
+    converged = content.fit.status in STATUSES_WITHOUT_WARNING
     targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
     adjustments = (
         None if residuals is None or context.omits_residuals else adjustments_without_and_with_parameters(recording)

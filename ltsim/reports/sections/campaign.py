@@ -65,7 +65,7 @@ MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
 """Number of combinations of factor levels (cells) above which a table has a row per level of a factor, not per cell."""
-IMPROVEMENT_COLUMN = "distance_improvement_percent"
+SUMMARY_IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Result column whose mean the summary of a campaign reports: improvement of the distance criterion by calibration."""
 
 STATISTIC_TITLE_BY_COLUMN = MappingProxyType(
@@ -148,7 +148,7 @@ def _summary_sentence(
         trials_text += f" ({_enumeration_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
-        means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
+        means = [s for s in summaries.get(SUMMARY_IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
             mean_texts.append(f"{method} by {_mean_text(means[0])} %")
         elif means:

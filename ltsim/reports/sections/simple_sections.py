@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
 """Type variable of an entry of a history that names two calibrations."""
-MIN_PASS_PROBABILITY = 0.5
+MIN_GOOD_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
@@ -141,7 +141,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     """Section of acceptance tests: errors, limits and judgement."""
     predicted = content.error_origin == "predicted"
     assessment = (
-        assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
+        assessment_of(content.pass_probability >= MIN_GOOD_PASS_PROBABILITY)
         if content.pass_probability is not None
         else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
     )

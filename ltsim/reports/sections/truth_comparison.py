@@ -24,7 +24,7 @@ from ltsim.reports.residuals import OBSERVABLE_UNITS
 from ltsim.reports.sections.network import AdjustmentsWithoutAndWithParameters
 from ltsim.simulation.truth import AppliedEffect, Truth
 
-INJECTED_TABLE = Table(
+INJECTED_EFFECTS_TABLE = Table(
     "injected.csv",
     "injected effects of a simulated recording, and the findings",
     text_columns(
@@ -58,7 +58,7 @@ def truth_blocks(
         for row in _injected_and_finding_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
-    table = table_blocks("Injected and diagnosed", INJECTED_TABLE.with_rows(table_rows), note=note)
+    table = table_blocks("Injected and diagnosed", INJECTED_EFFECTS_TABLE.with_rows(table_rows), note=note)
     return [*_injected_and_estimated_curves(content, truth.applied_effects[0], adjustments), *table]
 
 

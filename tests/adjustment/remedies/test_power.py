@@ -75,7 +75,7 @@ class Search:
                 "from_residual_space",
                 staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
-            scored = Searcher(self.space, 0).empty_model_screening.null_statistics
+            scored = Searcher(self.space, 0).empty_model_screening.null_test_statistics
         statistic = np.logaddexp(
             log_sum_exp(self.noise.log_evidence_by_family(residual, self.space.redundancy)), scored
         )
