@@ -389,7 +389,7 @@ def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(is_coverage_outside_band(summaries), dtype=bool)
-    for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
+    for chosen, colour, word in ((~red, style.BLUE, "coverage, 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(coverage[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)

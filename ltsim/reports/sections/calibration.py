@@ -234,9 +234,9 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
     p = None if noise_estimated or fit.p_value is None else two_sided_p_value(fit.p_value)
     facts = [
         KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(has_agreement)),
-        KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
+        KeyFigure("two-sided p-value", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
         KeyFigure("degrees of freedom", str(fit.dof)),
-        KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
+        KeyFigure("outlying readings", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if has_agreement and content.correction is not None and content.correction.uncorrected_error_um > 0:
         expected = f"{number_text(content.correction.uncorrected_and_corrected_point_error_um[1], 3)} um"
@@ -291,7 +291,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         reading_names = names_text([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.fit_with_constants is not None:
-        actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
+        actions.append("Estimate the instrument constants, and correct them, with ltsim calibrate.")
     p_value = content.fit.p_value
     if (
         p_value is not None

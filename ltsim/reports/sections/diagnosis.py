@@ -233,7 +233,7 @@ def _finding_blocks(
         f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
-    formula_sentence = f" Proposed term: {finding.formula}." if finding.formula and formula_is_new else ""
+    formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
     text = f"{sentence.rstrip('.')}.{formula_sentence}{separation_sentence}"
     blocks: list[Block] = [] if text in summary else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
     draw_figure = finding_figure(finding, *residuals)
@@ -348,7 +348,7 @@ def _fit_tables(content: Diagnosis) -> list[TableBlock]:
     )
     if corrected := _corrected_findings_text(content):
         note = f"Both models are fitted after the correction of {corrected}. {note}"
-    return table_blocks("Fit before and after", content.table("fit"), note=note)
+    return table_blocks("Misfit without and with the findings", content.table("fit"), note=note)
 
 
 def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:

@@ -282,7 +282,7 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure(
             "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
         ),
-        KeyFigure("p, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
+        KeyFigure("p-value, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     assessment = assessment_of(agrees and not flagged_readings)

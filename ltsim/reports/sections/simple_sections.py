@@ -76,7 +76,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
-    blocks: list[Block] = [] if file is None else [PictureBlock("At a glance", lambda: read_text(file), caption)]
+    blocks: list[Block] = [] if file is None else [PictureBlock("All readings", lambda: read_text(file), caption)]
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
         blocks += entries_table_blocks(
@@ -120,7 +120,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
-        KeyFigure("no point moved, p", p_text(p_value), assessment_of(p_value >= content.significance_level)),
+        KeyFigure("p-value, if no point moved", p_text(p_value), assessment_of(p_value >= content.significance_level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
@@ -156,7 +156,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         ),
         *table_blocks("Groups", content.table("groups"), note=note),
         *entries_table_blocks(
-            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
+            "Tests nearest to the limits", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
             "limit_um", last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table_blocks(
@@ -294,8 +294,8 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         blocks += table_blocks("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
-        KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
-        KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
+        KeyFigure("time for this measurement", duration_text(60 * best_proposal.minutes)),
+        KeyFigure("mean decrease of sigma", f"{reductions[0]:.0f} %"),
     ]
     actions = [capitalised_sentence(proposal.action) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
@@ -334,7 +334,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     facts = [
         KeyFigure("calibrations", str(len(labels))),
         KeyFigure("events", str(len(content.events)), assessment_of(not content.events)),
-        KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not has_changed)),
+        KeyFigure("p-value, if nothing changed since the first", p_text(since.p_value), assessment_of(not has_changed)),
     ]
     answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
     answer += _change_summary_sentence(content, knows_usual_changes)
