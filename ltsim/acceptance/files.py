@@ -133,7 +133,7 @@ class WorstPassingInstrument(Entry):
     """Instrument that passes every test although its point errors are the largest possible."""
 
     constants: dict[str, Finite]
-    """Instrument constants by name, in the units of the sensitivities."""
+    """Instrument constants by name, in the units that the entries in `sensitivities` of the file have."""
     rms_point_error_um: Finite
     """Root mean square error [um] of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
     largest_point_error_um: Finite

@@ -55,7 +55,7 @@ class AcceptancePlan:
 
     @cached_property
     def is_length_test(self) -> Bools:
-        """Mask (tests,) of the tests of a length; all other tests are two-face tests."""
+        """Mask (tests,) that is True for the tests of a length, and False for two-face tests."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
@@ -93,7 +93,7 @@ class AcceptancePlan:
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (tests, 2) [m] of both components of the test errors due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of both components of the test errors, due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._beam_axes_and_noise(points) for points in (first, second))

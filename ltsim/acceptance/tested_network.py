@@ -62,7 +62,7 @@ class TestedNetwork:
 
     @cached_property
     def _additional_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
-        """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
+        """Estimated effects and nuisance errors (such as centring errors), each with the slice of its parameters."""
         effects = self.adjustment.problem.model.extra_effects
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
         return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]

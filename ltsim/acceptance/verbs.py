@@ -74,8 +74,8 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     Examples
     --------
     >>> import ltsim as lt
-    >>> found = lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"})
-    >>> found.error_origin, len(found.tests)
+    >>> result = lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"})
+    >>> result.error_origin, len(result.tests)
     ('predicted', 74)
     """
     place = Path(folder)

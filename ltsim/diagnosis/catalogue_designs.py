@@ -90,7 +90,7 @@ class EffectDesignGroup:
     effects; zeros before the first screening."""
 
     def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
-        """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
+        """Ranges of effects in the group whose products with `n_vectors` vectors fit into memory at the same time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def products_with_vectors(self, effect_range: slice, vectors: Floats | Floats32) -> Floats:

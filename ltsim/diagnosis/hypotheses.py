@@ -170,13 +170,16 @@ class HypothesisRanking:
         return list(first.values())
 
     def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> HypothesisRanking:
-        """Copy of the ranking that also contains the hypotheses `rivals`."""
+        """Copy of the ranking that also contains the hypotheses `rivals`, which explain the same residuals."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))
         return HypothesisRanking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> HypothesisRanking:
-        """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
+        """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis.
+
+        An unmodelled cause is no hypothesis of the ranking, but resembles its first hypothesis.
+        """
         return replace(
             self,
             log_evidence_of_unmodelled_cause=self.total_log_evidence

@@ -184,7 +184,7 @@ def instrument_constants_contradicting_expectation(
     change_directions = change_directions.reshape(len(change_directions), unit.size)
 
     def log_evidences_given(other_changes: Collection[int]) -> Floats:
-        """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
+        """Log evidence (changes,) of each possible change, given the changes with the indices `other_changes`."""
         given_changes = change_directions[list(other_changes)]
         score, weight = change_score_and_information(
             likelihood.information_matrix,
@@ -286,7 +286,7 @@ def _instrument_constant_contradiction(
 def _log_evidence_of_change(
     difference: float, variances: Floats | float, log_variance_weights: Floats | float
 ) -> float:
-    """Log evidence of a change from its estimate `difference`, averaged over s variances with their log weights."""
+    """Log evidence of a changed constant from its `difference`, averaged over s variances with their log weights."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
     log_unchanged = log_variance_weights - 0.5 * (difference**2 / variances + np.log(variances))
     log_changed = log_unchanged + log_evidence(((difference / variances) ** 2)[:, None], 1.0 / variances[:, None])

@@ -61,7 +61,8 @@ class PointingPartition:
     pointing_order: Ints
     """Indices (n,) of the n pointings, sorted by cell (pointings of the same places)."""
     cell_edges: Ints
-    """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
+    """Limits (cells + 1,) in `pointing_order` of the cells (pointings of the same places): starts, and end of the
+    last."""
     is_cell_in_place: sp.csr_array
     """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places (stations, targets or
     instruments)."""
@@ -90,7 +91,10 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over the pointings of each of P places, from the sums `cell_sums` (cells, ...) over cells."""
+        """Sums (P, ...) over the pointings of each of P places (stations, targets or instruments).
+
+        `cell_sums` (cells, ...) are the sums over the cells (pointings of the same places).
+        """
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
@@ -123,7 +127,7 @@ class RegressorColumns:
         return self._all_columns[:, regressor_range.start * n_columns : regressor_range.stop * n_columns]
 
     def release_memory(self) -> None:
-        """Removal of the columns from memory, unless they are always cached."""
+        """Removal of the design columns from memory, unless they are always cached."""
         if not self.is_cached:
             self._all_columns = None
 

@@ -296,7 +296,7 @@ class NoiseHypothesisSet:
         return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable patterns of noise, each with its most probable size, and the log evidence summed over sizes."""
+        """Most probable patterns of added variance, each with its most probable size, and log evidence of all sizes."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.family_names])
         prior -= np.log(np.bincount(self.family_indices))

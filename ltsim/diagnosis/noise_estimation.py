@@ -83,17 +83,18 @@ def _log_likelihood_ratios_of_groups(
 def _log_likelihood_by_fraction(log_ratios: Floats) -> Floats:
     """Log likelihood (q,) of each of the q fractions of noisy groups in `NOISY_GROUP_FRACTIONS`.
 
-    `log_ratios` (f, k) are the log likelihood ratios of k groups for f variance factors, which have equal prior
-    probabilities for a noisy group.
+    `log_ratios` (f, k) are the log likelihood ratios of k groups of readings for f variance factors, which have equal
+    prior probabilities for a noisy group.
     """
     noisy = log_sum_exp(log_ratios) - np.log(len(log_ratios))
     return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + noisy).sum() for q in NOISY_GROUP_FRACTIONS])
 
 
 def _with_occam_factor(hypothesis: NoiseHypothesis, log_ratios: Floats) -> NoiseHypothesis:
-    """Hypothesis of separate noise of k groups with its Occam factor.
+    """Copy of a hypothesis of separate noise of k groups of readings, with its Occam factor.
 
-    `log_ratios` (f, k) are the log likelihood ratios of the groups for f variance factors.
+    The Occam factor is the evidence divided by the largest likelihood. `log_ratios` (f, k) are the log likelihood
+    ratios of the groups for f variance factors.
     """
     log_evidence = log_sum_exp(_log_likelihood_by_fraction(log_ratios)) - np.log(len(NOISY_GROUP_FRACTIONS))
     return replace(hypothesis, log_occam_factor=float(log_evidence) - 0.5 * hypothesis.chi2_drop)

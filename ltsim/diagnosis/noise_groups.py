@@ -91,11 +91,11 @@ class GroupNoiseHypothesis:
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance."""
+        """Posterior mean (g,) of the added variance of each of g groups of readings over the declared variance."""
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, provided that its noise is not as declared.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, if its noise is not as declared.
 
         The added variance is divided by the declared variance.
         """
@@ -246,7 +246,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, divided by the declared variance.
 
         It is an average over the fraction of noisy groups.
         """

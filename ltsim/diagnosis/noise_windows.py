@@ -130,9 +130,9 @@ class NoiseWindows(GroupNoiseHypothesis):
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_tried_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, divided by the declared variance.
 
-        It is an average over all sequences of states, by forward and backward recursion.
+        It is an average over all sequences of states (quiet and noisy), by forward and backward recursion.
         """
         dense = replace(self, variance_factor_grid=NOISY_STATE_VARIANCE_FACTOR_GRID)
         logs, p_change = (

@@ -100,13 +100,13 @@ class NullEnsemble:
         return row_of_reading
 
     def vectors_of_pointings(self, pointings: Ints) -> Floats32:
-        """Elements (p, 3, v) of the v vectors for the readings of p pointings; undefined for readings not in use."""
+        """Elements (p, 3, v) of the v probe vectors for the readings of p pointings; undefined for unused readings."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
-        """Products of k columns with the residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
+        """Products of k columns with residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of the columns with all v vectors.
+        They are the parts of `scores` (..., k, v), the products of k design columns with all v probe vectors.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]

@@ -74,7 +74,7 @@ class ScreeningResult(NamedTuple):
     test_statistic: float
     """Test statistic of the global test: log of the summed evidence of all hypotheses."""
     null_test_statistics: Floats
-    """Values (trials,) of the test statistic for each simulated recording (trial) of the null ensemble."""
+    """Values (trials,) of the test statistic for each simulated recording (trial) without effects."""
 
 
 class Searcher:

@@ -55,7 +55,8 @@ class SelectionState:
     selected_noise_hypotheses: tuple[NoiseHypothesis, ...] = ()
     """Noise hypotheses that have been selected."""
     earlier_catalogue_designs: CatalogueDesigns | None = None
-    """Design matrices of the most recent search in an earlier state; None before the first search."""
+    """Design matrices of the catalogue effects from the latest search in an earlier state; None before the first
+    search."""
 
     @classmethod
     def from_adjustment(

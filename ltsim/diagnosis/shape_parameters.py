@@ -146,13 +146,13 @@ class ShapeParameterNode(NamedTuple):
     effect: CandidateEffect
     """Effect with the shape parameters of the node."""
     log_weight: float
-    """Log of the evidence times the volume of the node's cell of the grid."""
+    """Log of the evidence at the node times the volume of its cell of the grid."""
     shape_parameters: dict[str, float]
     """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats
-    """Posterior mean (k,) of the k parameters [SI]."""
+    """Posterior mean (k,) of the k parameters [SI], given the shape parameters of the node."""
     parameter_variances: Floats
-    """Posterior variance (k,) of the k parameters [SI]."""
+    """Posterior variance (k,) of the k parameters [SI], given the shape parameters of the node."""
     gap_duration: float
     """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
 

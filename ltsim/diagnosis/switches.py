@@ -151,14 +151,15 @@ def _span_gram_and_score(
 
 
 def _span_differences(step_values: Floats) -> Floats:
-    """Values (S, ...) of S spans from the values (S, ...) of S steps: the value of each step minus that of the next."""
+    """Values (S, ...) of S spans of a covariate from those of S steps: each step minus the next."""
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """States (S,) of S spans, on or off, with the largest evidence, their log evidence, and the number of toggles.
+    """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
 
-    Each toggled interval reduces the log evidence by the log of the number of all intervals.
+    The numbers are the log evidence and the number of toggled intervals. Each toggled interval reduces the log evidence
+    by the log of the number of all intervals.
     """
     count, n_components = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)

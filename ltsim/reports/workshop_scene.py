@@ -30,7 +30,7 @@ ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
 """Alternative opening angle [rad] of the shadow cone below a tracker, in which it sees nothing (Sensors 2021, 21, 7479,
 section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
-"""Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
+"""Largest height [m] above z = 0 of the lowest target or tracker in a plan at which the floor is drawn at z = 0.
 
 If all of them are higher, the floor is drawn at the lowest target. The limit is above the height of a tracker on its
 tripod.
@@ -118,7 +118,10 @@ class WorkshopScene(ValueEquality):
         )
 
     def shadow_radii_on_floor(self, opening: float) -> Floats:
-        """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
+        """Radius (S,) [m] on the floor of the cone below each of S stations in which the tracker sees nothing.
+
+        `opening` [rad] is the full angle of the cone.
+        """
         return shadow_cone_radii(self.station_positions, self.floor_height, opening)
 
     @property

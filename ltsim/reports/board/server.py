@@ -101,7 +101,7 @@ class HttpResponse(NamedTuple):
 
 
 MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
-"""Response to a path without the token, or with an unknown name."""
+"""Response to a request whose path lacks the token, or has an unknown name."""
 
 
 class PlannerRequests:
@@ -302,7 +302,7 @@ class _LimitedServer(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def _end_oldest_connection(self) -> bool:
-        """True if the oldest replaceable connection was ended, whose place the next one takes."""
+        """True if the oldest connection without the token was ended, so that a new connection can take its place."""
         oldest = next(iter([*self._replaceable]), None)
         if oldest is None:
             return False

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     )
 
 FIGURE_MODULES = ("campaign", "floor_plan", "marked_floor_plans", "parameters", "points", "residuals")
-"""Names of the modules of figures."""
+"""Names of the modules in this package that draw figures."""
 
 
 def _import_figure_module(name: str) -> Any:

@@ -260,7 +260,7 @@ def variance_budget_figure(names: Sequence[str], variance_fractions: Mapping[str
 
 
 ValueWithInterval = tuple[float, float, float]
-"""Value, lower limit and upper limit of its interval."""
+"""Value, followed by the lower and the upper limit of its interval."""
 
 
 @style.with_figure_style

@@ -120,7 +120,7 @@ TWO_FACE_COMPONENT_MARKERS = (
     ("across the beam", style.ORANGE, "s"),
     ("elevation", style.GREEN, "^"),
 )
-"""Name, colour and marker of each component of a two-face difference."""
+"""Component of a two-face difference, with the colour and the form of its marker."""
 MAX_TARGETS_WITH_AXIS_NAMES = 40
 """Number of targets above which their names are not written on the axis."""
 MAX_LEGEND_STATIONS = 8

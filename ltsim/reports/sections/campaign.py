@@ -62,7 +62,7 @@ MAX_SHOWN_SCENARIOS = 100
 """Largest number of combinations of factor levels (cells) whose scenarios a report contains; the manifest contains
 all."""
 MAX_OPEN_BLOCKS = 4
-"""Largest number of blocks that are open on the page."""
+"""Largest number of blocks of the section that the page shows open, and not only by their titles."""
 MAX_CELL_ROWS = 48
 """Number of combinations of factor levels (cells) above which a table has a row per level of a factor, not per cell."""
 SUMMARY_IMPROVEMENT_COLUMN = "distance_improvement_percent"

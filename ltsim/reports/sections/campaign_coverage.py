@@ -13,7 +13,7 @@ from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 MAX_COVERAGE_FIGURES = 3
-"""Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
+"""Largest number of figures of the coverage of intervals, one per method."""
 NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 """Keys of an instrument in a scenario with factors on its noise, its errors or its prior. A factor other than 1 makes
 them differ from the declared ones."""

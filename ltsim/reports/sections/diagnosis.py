@@ -185,7 +185,7 @@ def _key_figures(content: Diagnosis) -> list[KeyFigure]:
 
 
 def _corrected_findings_text(content: Diagnosis) -> str:
-    """Text of the numbers of the findings that were corrected before the global test; empty if there are none."""
+    """Text with the numbers of the findings that were corrected before the global test; empty if there are none."""
     numbers = [
         str(number) for number, finding in enumerate(content.findings, start=1) if finding.is_corrected_before_search
     ]

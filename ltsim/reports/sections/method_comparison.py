@@ -21,7 +21,8 @@ COMPARED_STATISTIC_TEXTS = {
     "target_error_um": "error of the targets",
     "error_calibrated_um": "error of a point",
 }
-"""Texts for the errors by which methods are compared, by column; the first column that a campaign has is used."""
+"""Name for users of each error by which methods may be compared, by column. The first column that a campaign has is
+used."""
 MAX_COMPARED_CELLS = 48
 """Number of combinations of factor levels (cells) above which methods are not compared, since each takes two queries
 per method."""

@@ -69,7 +69,7 @@ UNDETECTABLE_NOTE = (
 MAX_BUDGET_BARS = 40
 """Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
 MAX_LISTED_TESTS = 200
-"""Largest number of acceptance tests in a table, the least likely to pass first."""
+"""Largest number of acceptance tests in a table; those that are least likely to pass are listed."""
 
 
 def check_section(content: Check, context: SectionContext) -> Section:
