@@ -144,7 +144,6 @@ class AcceptanceFile(ResultFile):
     """Result of `accept`, with the content of `accept.json`."""
 
     FILE: ClassVar[str] = "accept.json"
-    """Name of the result file."""
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"
     """Format and version of this file."""
     title: str = ""

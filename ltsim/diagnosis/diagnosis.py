@@ -96,7 +96,6 @@ class Diagnosis(ResultFile):
     instruments: tuple[InstrumentEntry, ...] = ()
     """Instrument constants of each instrument, estimated in the ordinary calibration."""
     _arrays: DiagnosisArrays | None = PrivateAttr(None)
-    """Adjustments and coordinates of the diagnosis; None after reading from a file."""
 
     @classmethod
     def from_arrays(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
