@@ -206,9 +206,9 @@ def _noise_finding(
 
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """Names of the observables whose noise is significantly larger (or smaller) than declared.
+    """Names of the observables whose noise is significantly larger than declared.
 
-    The sign is that of the largest change.
+    If the largest change is a decrease, they are those whose noise is significantly smaller than declared.
     """
     plausible_sizes = hypothesis.effect.plausible_sizes
     sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes

@@ -56,7 +56,7 @@ def average_over_explanations(
     ----------
     searcher : Searcher
         Search that evaluates the possible causes.
-    model : Model
+    model : EffectModel
         Selected effects.
     rankings_of_alternatives : sequence of HypothesisRanking
         Alternatives to each effect in the model, with their probabilities.

@@ -237,13 +237,13 @@ class CatalogueDesigns:
         return replace(self, groups=groups, reading_sigmas=new_space.sigma)
 
     def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
-        """Log evidences (h,) of h effects, the same (families, trials) in simulations, and the screened designs.
+        """Log evidences (h,) of h effects, their null values (families, trials), and the screened designs.
 
-        The null ensemble has the residuals with the effects of a model, and simulated recordings (trials), whose values
-        are averaged over the variants of each catalogue effect. The first screening computes the projected Gram
-        matrices, which the screened designs contain for later screenings. With a model, the design columns are also
-        projected onto the complement of its effects, which reduces their Gram matrices. A Monte-Carlo estimate of a
-        Gram matrix is not reduced, because the difference could vanish.
+        The null values are log evidences in simulated recordings (trials) of the null ensemble, averaged over the
+        variants of each catalogue effect. The first screening computes the projected Gram matrices, which the screened
+        designs contain for later screenings. With a model, the design columns are also projected onto the complement of
+        its effects, which reduces their Gram matrices. A Monte-Carlo estimate of a Gram matrix is not reduced, because
+        the difference could vanish.
         """
         values = np.zeros(len(self.effects))
         family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.family_names), null_ensemble.n_trials)

@@ -47,7 +47,7 @@ class Hypothesis:
 
     @property
     def is_catalogued(self) -> bool:
-        """True if the hypothesis is an effect of the catalogue, False for any other empirical law."""
+        """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue."""
         return self.name != "unknown"
 
     @property

@@ -91,7 +91,7 @@ class GroupNoiseHypothesis:
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups of readings over the declared variance."""
+        """Posterior mean (g,) of the added variance of each of g groups, in units of the declared variance."""
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:

@@ -45,8 +45,8 @@ class NullEnsemble:
     """Residual space of the adjustment, with m observation equations."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
-    recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the latter are u
-    further simulated residuals."""
+    recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
+    by u further simulated residuals."""
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats

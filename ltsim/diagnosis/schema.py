@@ -162,7 +162,7 @@ class GlobalTest(Entry):
     """One-sided p-value of chi-square: probability of at least this chi-square if the model is correct. Reports display
     the two-sided p-value."""
     search_p_value: OptionalFloat = None
-    """p-value of the complete search for effects, corrected for the number of hypotheses; null without a search."""
+    """p-value of the complete search for effects, corrected for the number of hypotheses."""
 
 
 class Misfit(Entry):
@@ -210,7 +210,7 @@ class DetectableEntry(Entry):
     parameter: str = ""
     """Name of the parameter of the effect to which the size refers."""
     size: OptionalFloat
-    """Smallest detectable size of the parameter, in `unit`; null if it is infinite."""
+    """Smallest detectable size of the parameter, in `unit`."""
     unit: str = ""
     """Unit of the smallest detectable size."""
 

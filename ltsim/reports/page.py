@@ -73,7 +73,7 @@ class PagePart:
     result_file: str
     """Name of the result file in the folder."""
     recording: Path | None
-    """Folder of the recording from which the result was computed; None if it is not available."""
+    """Path of the recording from which the result was computed; None if it is not available."""
     omits_residuals: bool = False
     """True if another section of the page shows the residuals of the same recording."""
 

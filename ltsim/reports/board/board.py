@@ -244,10 +244,7 @@ class MovableLayout:
 
 
 def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
-    """Data of a point for the page, by key: ratio of error to tolerance, this ratio as text, and if it is met.
-
-    `error_to_tolerance` is None for a point without a tolerance.
-    """
+    """Data of a point for the page, by key: ratio of error to tolerance, this ratio as text, and if it is met."""
     return {
         "ratio": error_to_tolerance,
         "used": tolerance_ratio_text(error_to_tolerance),

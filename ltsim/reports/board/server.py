@@ -80,7 +80,7 @@ class LayoutRequest(BaseModel):
 
     stations: list[StationPosition] = Field(max_length=1000)
     camera: Annotated[list[FiniteTriple], Field(min_length=3, max_length=3)] | None = None
-    """Position [m], focal point [m] and up direction of the camera; None if the request needs no 3D view."""
+    """Position [m], focal point [m] and up direction of the camera of the 3D view; None for the default camera."""
 
     @field_validator("camera")
     @classmethod
