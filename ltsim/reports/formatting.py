@@ -46,7 +46,7 @@ def tracker_preset_names_text(scenarios: Iterable[Scenario | ScenarioSettings]) 
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Sort key of `text` for natural order: T9 before T10."""
+    """Sort key of a `name` in natural order: T9 before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 

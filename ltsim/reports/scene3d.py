@@ -29,9 +29,9 @@ MAX_LISTED_OMITTED_NAMES = 4
 MAX_TARGET_LABELS = 60
 """Number of targets above which the names of the targets are not drawn."""
 MAX_FINE_SPHERES = 150
-"""Number of targets above which their spheres are drawn with fewer facets."""
+"""Number of targets above which their spheres and ellipsoids are drawn with fewer facets."""
 MAX_MEDIUM_SPHERES = 600
-"""Number of targets above which their spheres are drawn with the fewest facets."""
+"""Number of targets above which their spheres and ellipsoids are drawn with the fewest facets."""
 SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 """Colour map of the values of lines of sight."""
 
@@ -73,7 +73,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter of pyvista and legend of the scene of a hall, in a window of `window_size` pixels or `off_screen`."""
+    """Plotter of pyvista and legend of the scene of a hall; `window_size` in pixels, visible unless `off_screen`."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)

@@ -49,13 +49,13 @@ class DrawnSights:
     """Lines of sight to draw, n of them, each with a value that determines its colour."""
 
     station_indices: Ints
-    """Index (n,) of the station of each line."""
+    """Index (n,) of the station of each line of sight."""
     target_indices: Ints
-    """Index (n,) of the target of each line."""
+    """Index (n,) of the target of each line of sight."""
     values: Floats
-    """Value (n,) of each line, which determines its colour."""
+    """Value (n,) of each line of sight, which determines its colour."""
     value_label: str
-    """Name of the values with their unit."""
+    """Name of the values of the lines of sight, with their unit."""
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
 
 
 class PlannerRequests:
-    """Requests that the page of the planner may send, and their responses.
+    """Requests that the page of the interactive planner may send, and their responses.
 
     Every path begins with the secret token.
     """
@@ -190,7 +190,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     allowed_hosts: frozenset[str]
     """Allowed values of the HTTP header Host, and of the header Origin after `http://`."""
     timeout = REQUEST_TIMEOUT_S
-    """Time [s] within which a request must arrive."""
+    """Time [s] within which a request must arrive completely."""
     server_version, sys_version = "ltsim", ""
 
     def setup(self) -> None:

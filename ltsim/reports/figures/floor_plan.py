@@ -38,7 +38,7 @@ class MapLabel:
     anchor: Floats
     """Position (2,) of the marker in data units."""
     font_size: float = 7.0
-    """Font size [pt]."""
+    """Font size of the label [pt]."""
     is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
