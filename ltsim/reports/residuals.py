@@ -33,15 +33,15 @@ COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": 
 class Residuals:
     """Residuals (observed minus adjusted reading) of n readings, with station, target and covariates of each."""
 
-    data_row: Ints
+    data_row_numbers: Ints
     """Number (n,), from 1, of the row of each of n readings in the table of the recording."""
-    station: NameArray
+    station_names: NameArray
     """Names (n,) of the stations of n readings."""
-    target: NameArray
+    target_names: NameArray
     """Names (n,) of the targets of n readings."""
-    observable: Ints
+    observable_indices: Ints
     """Index (n,) into `OBSERVABLES` of the observable of each of n readings."""
-    residual: Floats
+    displayed_residual: Floats
     """Residuals (n,) of n readings, in um for a distance and in arcsec for an angle."""
     normalised_residual: Floats
     """Residuals (n,) of n readings divided by their standard deviations; standard normal if the model is correct."""
@@ -51,16 +51,16 @@ class Residuals:
     """Covariates (n,) of n readings by name, in the units of `COVARIATE_UNITS`."""
 
     def __len__(self) -> int:
-        return len(self.data_row)
+        return len(self.data_row_numbers)
 
     @property
     def stations(self) -> list[str]:
         """Names of the stations in the order of their appearance."""
-        return list(dict.fromkeys(self.station.tolist()))
+        return list(dict.fromkeys(self.station_names.tolist()))
 
     def observable_mask(self, observable: str) -> Bools:
         """Mask (n,) of n readings, True for those of the observable with this name."""
-        return self.observable == OBSERVABLES.index(observable)
+        return self.observable_indices == OBSERVABLES.index(observable)
 
     @property
     def measurement_order_covariate(self) -> str:
@@ -71,7 +71,7 @@ class Residuals:
     def sigma(self) -> Floats:
         """Standard deviations (n,) of n readings, computed from residual, normalised residual and redundancy."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
+            return np.asarray(np.abs(self.displayed_residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
     def station_and_target_mask(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """Mask (n,) of n readings, True for those from the given stations to the given targets.
@@ -79,7 +79,7 @@ class Residuals:
         An empty sequence means all stations or all targets.
         """
         mask = np.ones(len(self), dtype=np.bool_)
-        for names, column in ((stations, self.station), (targets, self.target)):
+        for names, column in ((stations, self.station_names), (targets, self.target_names)):
             if names:
                 mask &= np.isin(column, list(names))
         return mask
@@ -101,11 +101,11 @@ class Residuals:
         )
         row, residual, redundancy, w = table.float_array("row", "residual", "redundancy", "w").T
         return cls(
-            data_row=row.astype(np.int64),
-            station=np.array(table.column("station"), dtype=np.str_),
-            target=np.array(table.column("target"), dtype=np.str_),
-            observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
-            residual=residual * unit_factors,
+            data_row_numbers=row.astype(np.int64),
+            station_names=np.array(table.column("station"), dtype=np.str_),
+            target_names=np.array(table.column("target"), dtype=np.str_),
+            observable_indices=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
+            displayed_residual=residual * unit_factors,
             normalised_residual=w,
             redundancy=redundancy,
             covariates={"row": row},
@@ -118,11 +118,11 @@ class Residuals:
         rows, observable = np.nonzero(is_used)
         unit = np.array([SI_PER_UNIT[OBSERVABLE_UNITS[name]] for name in OBSERVABLES])
         return cls(
-            data_row=rows + 1,
-            station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
-            target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
-            observable=observable,
-            residual=(adjustment.residuals / unit)[is_used],
+            data_row_numbers=rows + 1,
+            station_names=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
+            target_names=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
+            observable_indices=observable,
+            displayed_residual=(adjustment.residuals / unit)[is_used],
             normalised_residual=adjustment.normalised_residuals[is_used],
             redundancy=adjustment.redundancy[is_used],
             covariates=_geometric_covariates(adjustment, rows),
@@ -145,14 +145,17 @@ class Residuals:
         """Residuals, normalised by the standard deviations that the same readings have in `reference`."""
         sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
+            return replace(self, normalised_residual=self.displayed_residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
         """Index (n,) in `reference` of each of n readings (same data row and observable); -1 for a missing reading."""
         row_by_key = {
-            key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
+            key: i
+            for i, key in enumerate(
+                zip(reference.data_row_numbers.tolist(), reference.observable_indices.tolist(), strict=True)
+            )
         }
-        keys = zip(self.data_row.tolist(), self.observable.tolist(), strict=True)
+        keys = zip(self.data_row_numbers.tolist(), self.observable_indices.tolist(), strict=True)
         return np.array([row_by_key.get(key, -1) for key in keys], dtype=np.int64)
 
 

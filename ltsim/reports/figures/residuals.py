@@ -61,8 +61,8 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
     for ax, observable in zip(axes, observables, strict=True):
         for series_residuals, offset, colour, word in series:
             for station_index, station in enumerate(stations):
-                is_shown = series_residuals.observable_mask(observable) & (series_residuals.station == station)
-                values = series_residuals.residual[is_shown]
+                is_shown = series_residuals.observable_mask(observable) & (series_residuals.station_names == station)
+                values = series_residuals.displayed_residual[is_shown]
                 x = station_index + offset + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
                 label, is_rasterized = (word if station_index == 0 else None), len(values) > MAX_VECTOR_DOTS
                 ax.plot(
@@ -124,7 +124,7 @@ def finding_comparison_figure(
             _draw_running_mean(
                 ax,
                 residuals.covariates[covariate][is_at_finding],
-                residuals.residual[is_at_finding],
+                residuals.displayed_residual[is_at_finding],
                 label="running mean",
             )
             w = normalised[is_at_finding]
@@ -191,7 +191,7 @@ def _observable_label(observable: str) -> str:
 def _draw_residuals(ax: Axes, residuals: Residuals, is_drawn: Bools, covariate: str, **style_options: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
     is_rasterized = int(is_drawn.sum()) > MAX_VECTOR_DOTS
-    x, y = residuals.covariates[covariate][is_drawn], residuals.residual[is_drawn]
+    x, y = residuals.covariates[covariate][is_drawn], residuals.displayed_residual[is_drawn]
     ax.plot(x, y, ".", alpha=0.7, rasterized=is_rasterized, zorder=1.5, **style_options)
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     style.set_grid(ax, grid_axis="both")

@@ -389,7 +389,7 @@ def _residual_sights(
         return None
     station, target = (
         np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
-        for names, column in ((stations, residuals.station), (targets, residuals.target))
+        for names, column in ((stations, residuals.station_names), (targets, residuals.target_names))
     )
     matched = (station >= 0) & (target >= 0)
     residual_sizes = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))

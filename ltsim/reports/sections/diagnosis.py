@@ -275,7 +275,7 @@ def finding_figure(
         without_finding is None
         or with_finding is None
         or is_blunder
-        or np.array_equal(without_finding.residual, with_finding.residual)
+        or np.array_equal(without_finding.displayed_residual, with_finding.displayed_residual)
     ):
         return None
     scope = finding.where
