@@ -253,19 +253,17 @@ class AcceptanceSettings(TomlSection):
     def _check_complete(self) -> Self:
         """Check that the keys of the file are complete and do not exclude each other; raises ValueError."""
         if self.instrument is None and self.specification is None:
-            raise ValueError("it should give instrument or the table [specification]")
+            raise ValueError("give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests_file is None):
-            raise ValueError("it should give either standard or tests")
+            raise ValueError("give either standard or tests_file")
         if self.standard == TWO_FACE_ONLY_STANDARD and self.additional_tests_file is None:
             raise ValueError(
-                "it should give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in"
+                "give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in"
             )
         if self.additional_tests_file is not None and self.standard is None:
-            raise ValueError(
-                "it should give additional_tests_file only with a standard, because tests_file contains all tests"
-            )
+            raise ValueError("give additional_tests_file only with a standard, because tests_file contains all tests")
         if self.recording is not None and self.measured_errors_file is not None:
-            raise ValueError("it should give recording or measured_errors_file, not both")
+            raise ValueError("give recording or measured_errors_file, not both")
         return self
 
     @property
