@@ -95,7 +95,7 @@ def catalogue_effect_sentence(
     located = (
         ""
         if p_same_scope is None
-        else f"An effect {place_phrase}, of this or another cause, has a probability of {percent_text(p_same_scope)}. "
+        else f"An effect acts {place_phrase} with a probability of {percent_text(p_same_scope)}, whatever its cause. "
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE else f"Perhaps {lower_title}"
@@ -123,8 +123,8 @@ def law_sentence(
         )
     return (
         f"The {response}{place_phrase}{verb}{regressor}{size_phrase}. "
-        "The catalogue does not contain this effect. An effect on these readings, in this or another form, "
-        f"has a probability of {percent_text(p_same_scope)}."
+        "The catalogue does not contain this effect. "
+        f"An effect acts on these readings with a probability of {percent_text(p_same_scope)}, whatever its form."
     )
 
 
@@ -134,7 +134,7 @@ def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
     `noise_text` is the description of this noise.
     """
     covariates = names_text([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
-    dependence = f" It depends on {covariates}." if covariates else ""
+    dependence = f" The noise depends on {covariates}." if covariates else ""
     present = f"The noise differs from the declared noise{_place_suffix(scope)}, and no catalogue effect describes it."
     return f"{present}{dependence} The most probable description is {noise_text}."
 
