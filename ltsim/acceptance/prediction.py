@@ -70,8 +70,8 @@ class AcceptancePlan:
     def test_errors(self, constants: Floats) -> Floats:
         """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with these `constants`.
 
-        The row of a length contains measured minus true length, and 0. The row of a two-face test contains front-face
-        minus back-face point, to the left and upwards as seen from the instrument.
+        The row of a length contains measured minus true length, and 0. The row of a two-face test contains the point
+        measured in face 1 minus that in face 2, to the left and upwards as seen from the instrument.
         """
         first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)

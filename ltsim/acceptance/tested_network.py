@@ -88,7 +88,7 @@ class TestedNetwork:
         return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
 
     @cached_property
-    def corrected_front_face_readings(self) -> Floats:
+    def corrected_readings_in_face_1(self) -> Floats:
         """Readings (pointings, 3) [m, rad, rad] converted to face 1, without the errors identified in the recording.
 
         They are corrected by the instrument constants if `is_corrected_by_estimated_constants`.
@@ -152,7 +152,7 @@ class TestedNetwork:
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean measured point (3,) [m] of each target in the instrument's frame, over the pointings `pointing_rows`."""
         points, targets = (
-            from_polar(self.corrected_front_face_readings[pointing_rows]),
+            from_polar(self.corrected_readings_in_face_1[pointing_rows]),
             self.adjustment.recording.target[pointing_rows],
         )
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
@@ -270,7 +270,7 @@ class TestedNetwork:
     def _point_derivatives_by_readings(self, row_indices: Ints) -> Floats:
         """Derivative (pointings, 3, 3) of measured points by the raw readings of the pointings `row_indices`."""
         faces = self.adjustment.recording.face[row_indices]
-        return np.asarray(np.linalg.inv(polar_jacobian(self.corrected_front_face_readings[row_indices], faces)))
+        return np.asarray(np.linalg.inv(polar_jacobian(self.corrected_readings_in_face_1[row_indices], faces)))
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:

@@ -1,8 +1,8 @@
 """Centring errors of all targets as noise hypotheses, in recordings that distinguish occupations of a target.
 
-An occupation is one placement of the reflector. Occupations are declared in a column of the recording, or they are the
-days, or the set-ups if pointings repeat in one face: an error that these repeats share is then a displacement for each
-set-up.
+An occupation of a target is one placement of the reflector on it. Occupations are declared in a column of the
+recording, or they are the days. They are the set-ups if pointings repeat in one face: an error that these repeats share
+is then a displacement for each set-up.
 
 The log evidence of centring errors is the restricted likelihood ratio of the variance component of the displacements
 (`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
@@ -95,7 +95,7 @@ def _determines_centring(recording: Recording, occupation_indices: Ints, *, requ
     """
     occupied_rows = np.flatnonzero(occupation_indices >= 0)
     count, targets = len(np.unique(occupation_indices[occupied_rows])), len(np.unique(recording.target[occupied_rows]))
-    n_visits = len(
+    n_occupations_per_face = len(
         np.unique(
             np.stack([occupation_indices[occupied_rows], recording.face[occupied_rows] * requires_repeats_in_face]),
             axis=1,
@@ -104,5 +104,5 @@ def _determines_centring(recording: Recording, occupation_indices: Ints, *, requ
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_MEAN_REPEATS * targets
-        and len(occupied_rows) >= MIN_MEAN_REPEATS * n_visits
+        and len(occupied_rows) >= MIN_MEAN_REPEATS * n_occupations_per_face
     )
