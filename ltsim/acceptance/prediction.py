@@ -177,8 +177,8 @@ class AcceptancePlan:
         """Instrument constants that pass all tests although the errors of `points` are largest, and these errors.
 
         `points` has the shape (points, 3) [m]. The result is the instrument constants (constants,) [SI], the root mean
-        square point error [m] and the largest point error [m]. The search is along the directions in the space of
-        constants with the largest ratio of point errors to test errors, up to the limits of the tests and to
+        square point error [m] and the largest point error [m]. The search is along the directions with the largest
+        ratio of point errors to test errors. It ends at the limits of the tests, and at
         `MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)

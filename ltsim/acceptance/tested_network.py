@@ -190,10 +190,10 @@ class TestedNetwork:
     ) -> Floats:
         """Variances (lengths,) [m^2] of measured minus reference lengths, without errors of the instrument.
 
-        The two ends of a length share most errors (poses, instrument constants), so that the joint covariance of both
-        ends is used, together with the covariance of the corrections of the measured lengths. A length does not depend
-        on the datum. Nuisance errors are not corrected, because only the tested readings determine them; their prior
-        variance is added. `point_pairs` (lengths, 2) are indices of the ends in `targets`.
+        The two ends of a length share most errors (poses, instrument constants). The joint covariance of both ends is
+        therefore used, together with that of the corrections of the measured lengths. A length does not depend on the
+        datum. Nuisance errors are not corrected, because only the tested readings determine them; their prior variance
+        is added. `point_pairs` (lengths, 2) are indices of the ends in `targets`.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
         length_changes = np.einsum(

@@ -298,12 +298,13 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
 
 
 MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE = 0.01
-"""Smallest fraction of the squared shift of all readings by an effect that an observable must have, so that the effect
-is reported to act on this observable."""
+"""Smallest fraction of the squared shift of all readings by an effect that is in an observable. With a smaller fraction
+the effect is not reported to act on this observable."""
 MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE = 0.1
-"""Smallest fraction of the squared shift of all residuals by an effect that an observable must have, so that the effect
-is reported to act on this observable. It is larger than `MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the
-adjustment spreads a shift of one observable over the other observables."""
+"""Smallest fraction of the squared shift of all residuals by an effect that is in an observable. With a smaller
+fraction the effect is not reported to act on this observable. It is larger than
+`MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the adjustment spreads a shift of one observable over the other
+observables."""
 
 
 def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:

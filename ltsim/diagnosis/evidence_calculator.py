@@ -50,8 +50,8 @@ class EvidenceCalculator:
     ) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the effects of a model.
 
-        They are the products of the projected design columns of the effect with each other, and with the residuals of
-        the adjustment that also estimates the effects of `conditioning_model`.
+        They are the products of the projected design columns of the effect with each other, and with residuals. The
+        residuals are those of the adjustment that also estimates the effects of `conditioning_model`.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches_with_same_rows(effects):
@@ -91,9 +91,9 @@ class EvidenceCalculator:
     ) -> list[tuple[CandidateEffectT, float]]:
         """Most probable effect near each given effect, found by a local search, with its averaged log evidence.
 
-        The search moves from an effect to its neighbours (effects with slightly different shape parameters or places),
-        until a step increases the log evidence by no more than its rounding error. The log evidence is averaged over
-        the most probable effect and its neighbours. The effects of `conditioning_model` are estimated in addition.
+        The search moves from an effect to its neighbours (effects with slightly different shape parameters or places).
+        It ends when a step increases the log evidence by no more than its rounding error. The log evidence is averaged
+        over the most probable effect and its neighbours. The effects of `conditioning_model` are estimated in addition.
         """
         best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))

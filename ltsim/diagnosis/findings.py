@@ -283,7 +283,8 @@ class SelectedModelFit:
         """Sum of the probabilities of all hypotheses with the scope (observables, place, covariates) of an effect.
 
         `effect_index` is the index of the effect in the model. All effects that act on the same targets count as having
-        the same scope, because a target that moved, is badly seated or was read wrongly changes the same readings.
+        the same scope. The reason is that a target that moved, is badly seated or was read wrongly changes the same
+        readings.
         """
         effect = self.model.hypotheses[effect_index].effect
 

@@ -1,8 +1,9 @@
 """Global test of the agreement of a recording with the ordinary model and the declared noise.
 
-The test statistic is the log of the sum of the evidence, with priors, of all hypotheses of the search (catalogue
-effects, empirical laws, and noise hypotheses) relative to no effect. Its null distribution is computed from simulated
-residuals of the same network. The false-alarm rate is therefore valid for any number of hypotheses.
+The test statistic is the log of the summed evidence, with priors, of all hypotheses of the search relative to no
+effect. The hypotheses are catalogue effects, empirical laws, and noise hypotheses. The null distribution of the
+statistic is computed from simulated residuals of the same network. The false-alarm rate is therefore valid for any
+number of hypotheses.
 """
 
 from dataclasses import dataclass

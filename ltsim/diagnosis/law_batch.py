@@ -1,11 +1,12 @@
 """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places, scored together.
 
 A place is the stations, targets or instruments where a law acts. The score of a response with a regressor at a place is
-the sum over the pointings of the place of (derivative of the response) x (column of the regressor) x (residual).
-Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for all laws.
+a sum over the pointings of the place. Its terms are (derivative of the response) x (column of the regressor) x
+(residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for
+all laws.
 
-Sizes of arrays below: n pointings, P places, C responses with c components each, D regressors with k columns each, of
-which d are processed at a time, and v vectors of the null ensemble (residuals and simulated residuals).
+Sizes of arrays below: n pointings, P places, C responses with c components each, and D regressors with k columns each,
+of which d are processed at a time. The null ensemble (residuals and simulated residuals) has v vectors.
 """
 
 from __future__ import annotations
@@ -208,11 +209,11 @@ class LawBatch:
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d), with priors, of empirical laws, and their log summed evidence in simulations.
 
-        A law is a changed quantity (response, C of them) that follows a function of covariates (regressor, d of them in
-        `regressor_range`) at some stations or targets (place, P of them). The second result (trials,) belongs to the
-        simulated recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is
-        therefore too large for a law that is correlated with them. The laws with the largest evidence are evaluated
-        again without this approximation.
+        There are C responses (changed quantities) and d regressors (functions of covariates that they follow, those in
+        `regressor_range`), at P places (stations or targets). The second result (trials,) belongs to the simulated
+        recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is therefore too
+        large for a law that is correlated with them. The laws with the largest evidence are evaluated again without
+        this approximation.
         """
         columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)

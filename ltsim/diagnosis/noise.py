@@ -189,8 +189,8 @@ class NoiseHypothesisSet:
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
         """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
 
-        `residual` (m,) are the m whitened residuals given the effects of a model, and the e columns of `model_basis`
-        (m, e) are the basis of the changes by these effects.
+        `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
+        are the basis of the changes by these effects.
         """
         assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)

@@ -34,8 +34,8 @@ NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
 EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped, so that the product of two
-likelihood ratios is a finite floating-point number."""
+"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped. The product of two likelihood
+ratios is then a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
 """Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
 NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
@@ -228,7 +228,7 @@ def _most_probable_states(log_likelihood_ratios: Floats, change_probability: flo
     """Index of the Markov chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
 
     At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
-    quiet state in c chains, and `change_probability` is the probability of a change of state from a step to the next.
+    quiet state in c chains. `change_probability` is the probability of a change of state from a step to the next.
     """
     score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
     for ratio in log_likelihood_ratios:

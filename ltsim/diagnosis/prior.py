@@ -1,8 +1,8 @@
 """Prior probabilities of a diagnosis, normalised over all explanations of a recording.
 
 An explanation is a possible cause of the misfit. A cause, and no cause, have equal prior probabilities. The probability
-of a cause is divided among kinds of explanations, and the probability of a kind among all explanations of this kind
-that are possible in a recording. Catalogue effects have probabilities in proportion to their base rates
+of a cause is divided among kinds of explanations. The probability of a kind is divided among all its explanations that
+are possible in a recording. Catalogue effects have probabilities in proportion to their base rates
 (`Effect.base_rate`), divided equally among their possible places (stations and targets) and shape parameters. Empirical
 laws have probabilities by their responses (changed quantities), regressors (functions of covariates) and places. Each
 operator of a regressor has the factor `laws.regressor_library.ODDS_PER_OPERATOR`. `prior_table_rows` is the table on

@@ -328,7 +328,7 @@ class Searcher:
     def model_by_forward_steps(self, rival_log_evidence: float) -> EffectModel:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
-        The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative, or when it
+        The steps end when the log evidence exceeds `rival_log_evidence`, that of an alternative. They also end when it
         could not exceed it even if all further effects gained as much evidence as the last effect.
         """
         return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)

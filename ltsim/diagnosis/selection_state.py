@@ -230,8 +230,8 @@ class SelectionState:
     def log_evidence_of_noise(self) -> float:
         """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
 
-        It is the restricted log likelihood of the present adjustment, plus for each hypothesis its log evidence minus
-        its log likelihood ratio at the time of its selection.
+        It is the restricted log likelihood of the present adjustment, plus a term for each hypothesis. The term is its
+        log evidence minus its log likelihood ratio at the time of its selection.
         """
         return log_restricted_likelihood(self.residual_space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses

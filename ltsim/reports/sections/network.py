@@ -154,8 +154,8 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a hall with its interactive page.
 
-    It is replaced by a note if the packages for 3D views are missing, or if there are more than `MAX_NETWORK_SETUPS`
-    stations, because stations are drawn one by one.
+    It is replaced by a note if the packages for 3D views are missing. The same applies to more than
+    `MAX_NETWORK_SETUPS` stations, because stations are drawn one by one.
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
