@@ -153,9 +153,9 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
         case Plan():
             write_plan(result_file, path)
         case ResultFile():
-            from ltsim.reports.schemas import COMPANION_TABLES  # which takes half a second
+            from ltsim.reports.schemas import COMPANION_TABLES_BY_RESULT_FILE  # which takes half a second
 
-            named = {table.file for table in COMPANION_TABLES.get(result_file.FILE, ())}
+            named = {table.file for table in COMPANION_TABLES_BY_RESULT_FILE.get(result_file.FILE, ())}
             tables = [result_file.table(name) for name in result_file._tables()]
             write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:

@@ -15,7 +15,7 @@ def files() -> str:
     lines: list[str] = []
     for file, model in models.items():
         lines += ["", f"## {file}", sections(model, json_place, "###")]
-        for table in schemas.COMPANION_TABLES.get(file, ()):
+        for table in schemas.COMPANION_TABLES_BY_RESULT_FILE.get(file, ()):
             lines += _columns(table)
     return "\n".join(lines)
 

@@ -43,7 +43,7 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
         gaps = np.linalg.norm((units @ harm.T).reshape(BLOCK, -1, 3), axis=2)
         columns = {"share": np.max(gaps / limit, axis=1)}
         for name, plan in plans.items():
-            errors = np.einsum("kip,np->nki", plan.sensitivities * prior, units)
+            errors = np.einsum("kip,np->nki", plan.test_error_derivatives * prior, units)
             noise = rng.standard_normal(errors.shape) * plan.error_sigmas
             columns[name] = plan.is_within_limits(errors + noise).all(axis=1)
         parts.append(pd.DataFrame(columns))

@@ -41,18 +41,21 @@ def part_of(driver: Regressor) -> str:
 def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     """Log evidence of each part of the searched space, in the recording and in simulated ones (trials,)."""
     sightings, instruments = space.sightings, space.adjustment.recording.instruments
-    probe = NullEnsemble.from_space(space, 0, MIN_SIMULATED_RECORDINGS)
-    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(sightings, instruments))
-    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(sightings, instruments))
+    probe = NullEnsemble.from_residual_space(space, 0, MIN_SIMULATED_RECORDINGS)
+    bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(sightings, instruments))
+    cards = CatalogueDesigns.from_residual_space(space, catalogue_candidate_effects(sightings, instruments))
     values, chance, _ = cards.screen(probe)
     own = np.append(bank.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.log_evidence_by_family(probe.simulated_residuals, space.redundancy)
-    share, families = log_prior_of_each_explanation("named", len(cards.families)), cards.log_evidence_by_family(values)
+    share, families = (
+        log_prior_of_each_explanation("named", len(cards.family_names)),
+        cards.log_evidence_by_family(values),
+    )
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip
     for panel in law_batches(space):
         part = panel.responses[0].changed_part, part_of(panel.regressors[0])
-        found.setdefault(part, []).append(panel.best_laws_and_log_totals(probe)[1:])
+        found.setdefault(part, []).append(panel.best_laws_and_log_total_evidence(probe)[1:])
     return found
 
 

@@ -1,1 +1,1 @@
-"""Acceptance tests of trackers, predicted or evaluated: tests of a standard, of the user, or in an adjusted network."""
+"""Acceptance tests of a tracker against its manufacturer's limits: prediction, and evaluation of measured errors."""

@@ -1,4 +1,4 @@
-"""Result of acceptance tests: accept.json and accept.csv."""
+"""Result of acceptance tests: the content of accept.json and accept.csv."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import ClassVar, Literal
@@ -17,12 +17,12 @@ uncertainty, `rejected` if it is above its limit by more than its expanded uncer
 without an uncertainty is compared with its limit directly."""
 
 
-JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
-"""Judgements in the order from the worst to the best."""
+JUDGEMENTS_FROM_WORST_TO_BEST: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
+"""Judgements of measured errors in the order from the worst to the best."""
 
 
-def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
-    """Joint judgement of several test errors: rejected if one is rejected, accepted if all are, else undecided."""
+def combined_judgement(judgements: Collection[Judgement]) -> Judgement:
+    """Judgement of several test errors together: rejected if one is rejected, accepted if all are, else undecided."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
 
@@ -30,13 +30,14 @@ class TestOutcome(Entry):
     """Outcome of one acceptance test: its measured or predicted error, its limit and the judgement."""
 
     __test__ = False
+    """False: pytest does not collect this class."""
 
     name: str
-    """Name of the test."""
+    """Name of the acceptance test."""
     group: str
     """Group of the test, such as the two-face tests, or the lengths in one orientation."""
     limit_um: Positive
-    """Maximum permissible error of the manufacturer's specification [um]."""
+    """Maximum permissible error by the manufacturer's specification [um]."""
     error_um: Finite
     """Expected or measured error [um]; in a two-face test the distance between the points of both faces, perpendicular
     to the beam."""
@@ -53,7 +54,7 @@ class TestOutcome(Entry):
         return (abs(self.error_um) - (self.expanded_uncertainty_um or 0.0)) / self.limit_um
 
     @property
-    def hardest_first_key(self) -> tuple[float, int, float]:
+    def hardest_first_sort_key(self) -> tuple[float, int, float]:
         """Sort key that puts the test first whose error exceeds its limit most, or is closest to its limit.
 
         The key consists of the probability to pass, the judgement, and the ratio of error to limit. The error is
@@ -62,21 +63,21 @@ class TestOutcome(Entry):
         share = self.lower_bound_to_limit_ratio
         if self.judgement != "rejected":
             share += 2 * (self.expanded_uncertainty_um or 0.0) / self.limit_um
-        return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
+        return self.pass_probability or 0.0, JUDGEMENTS_FROM_WORST_TO_BEST.index(self.judgement or "accepted"), -share
 
 
 class TestGroupSummary(Entry):
     """Summary of the tests of one group."""
 
     name: str
-    """Name of the group."""
+    """Name of the group of tests."""
     n_tests: int
     """Number of tests in the group."""
     pass_probability: OptionalFloat = None
     """Predicted probability that the errors of all tests in the group are within their limits; null for measured
     errors."""
     judgement: Judgement | None = None
-    """Joint judgement of the measured errors in the group; null for predicted errors."""
+    """Judgement of all measured errors in the group together; null for predicted errors."""
     largest_limit_ratio: Finite
     """Largest ratio of error to limit in the group; a predicted error is increased by its expanded uncertainty."""
 
@@ -94,6 +95,7 @@ TESTS_TABLE = Table(
         judgement={"kind": "text"},
     ),
 )
+"""Columns of `accept.csv`: errors and limits of the acceptance tests."""
 
 
 TEST_GROUPS_TABLE = Table(
@@ -108,10 +110,11 @@ TEST_GROUPS_TABLE = Table(
         largest_limit_ratio={"display_format": ".2f"},
     ),
 )
+"""Columns of `groups.csv`: summary of the tests of each group."""
 
 
-class ConstantSensitivity(Entry):
-    """Sensitivity of the tests to one instrument constant, while all other constants are zero."""
+class InstrumentConstantSensitivity(Entry):
+    """Sensitivity of the tests to one instrument constant, while all other instrument constants are zero."""
 
     name: str
     """Name of the instrument constant."""
@@ -130,11 +133,11 @@ class WorstPassingInstrument(Entry):
     """Instrument that passes every test although its point errors are the largest possible."""
 
     constants: dict[str, Finite]
-    """Instrument constants by name, in the units of the sensitivities."""
+    """Instrument constants by name, in the units that the entries in `sensitivities` of the file have."""
     rms_point_error_um: Finite
-    """Root mean square error of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
+    """Root mean square error [um] of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
     largest_point_error_um: Finite
-    """Largest error of a point 1.5 to 9 m around the instrument, after the rigid best fit of all points."""
+    """Largest error [um] of a point 1.5 to 9 m around the instrument, after the rigid best fit of all points."""
 
 
 class AcceptanceFile(ResultFile):
@@ -146,7 +149,7 @@ class AcceptanceFile(ResultFile):
     title: str = ""
     """Title of the acceptance tests, free text."""
     error_origin: Literal["predicted", "measured", "network"]
-    """Origin of the test errors: predicted, measured, or taken from a network."""
+    """Origin of the test errors: predicted, measured one by one, or taken from a measured network."""
     plan_name: str
     """Name of the standard, or of the file with the tests."""
     specification: Specification
@@ -156,9 +159,8 @@ class AcceptanceFile(ResultFile):
     pass_probability: OptionalFloat = None
     """Predicted probability that all tests pass; null for measured errors."""
     judgement: Judgement | None = None
-    """Joint judgement of all measured errors by ISO 14253-1: `rejected` if one error is rejected, `accepted` if all are
-    accepted and no test of the plan is missing, else `undecided`; null for a prediction.
-    """
+    """Judgement of all measured errors by ISO 14253-1: `rejected` if one error is rejected, `accepted` if all are
+    accepted and no test of the plan is missing, else `undecided`; null for a prediction."""
     decision_rule: str = ""
     """Rule by which measured errors are judged, and the content of their uncertainties; empty for a prediction."""
     unmeasured_tests: tuple[str, ...] = ()
@@ -171,15 +173,17 @@ class AcceptanceFile(ResultFile):
     """Summary of the tests of each group."""
     tests: tuple[TestOutcome, ...] = Field(min_length=1)
     """All tests with their errors and limits."""
-    sensitivities: tuple[ConstantSensitivity, ...] = ()
-    """Sensitivity of the tests to each instrument constant."""
+    sensitivities: tuple[InstrumentConstantSensitivity, ...] = ()
+    """Sensitivity of the tests to each instrument constant, one entry per constant."""
     worst_passing_instrument: WorstPassingInstrument | None = None
     """Instrument that passes every test with the largest point errors; null if it was not searched for."""
 
     def _lines(self) -> list[str]:
+        """Line for a terminal: origin of the errors, plan of tests, and result."""
         return [f"Acceptance ({self.error_origin}, {self.plan_name}): {self.sentence}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        """Functions that build the data tables of the result, by name of the table."""
         return {
             "tests": lambda: TESTS_TABLE.with_rows(self.tests),
             "groups": lambda: TEST_GROUPS_TABLE.with_rows(self.groups),
@@ -189,7 +193,7 @@ class AcceptanceFile(ResultFile):
 def group_summaries(
     test_outcomes: Sequence[TestOutcome], pass_probability_by_group: Mapping[str, float] | None = None
 ) -> tuple[TestGroupSummary, ...]:
-    """Summary of the tests of each group, from the outcomes of all tests.
+    """Summaries of the tests of each group, from the outcomes of all tests.
 
     `pass_probability_by_group` holds the predicted probability that all tests of a group pass, by name of the group; it
     is None for measured errors.
@@ -197,6 +201,7 @@ def group_summaries(
     predicted = pass_probability_by_group or {}
 
     def limit_ratio(test_outcome: TestOutcome) -> float:
+        """Ratio of the error of a test to its limit; a predicted error is increased by its expanded uncertainty."""
         margin = (test_outcome.expanded_uncertainty_um or 0.0) if predicted else 0.0
         return (abs(test_outcome.error_um) + margin) / test_outcome.limit_um
 
@@ -208,7 +213,7 @@ def group_summaries(
             name=name,
             n_tests=len(entries),
             pass_probability=predicted.get(name),
-            judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
+            judgement=None if predicted else combined_judgement([t.judgement for t in entries if t.judgement]),
             largest_limit_ratio=max(map(limit_ratio, entries)),
         )
         for name, entries in by_group.items()

@@ -27,10 +27,10 @@ from ltsim.core.notation import names_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
-OUTLIER_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
+OUTLIER_CAUSE_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
 """Kinds of causes whose pointings are neither adjusted nor tested: outliers, and sights to a badly seated reflector."""
 MAX_OUTLIER_ROUNDS = 3
-"""Largest number of repeated adjustments, each without the outliers identified before."""
+"""Largest number of repeated adjustments of a network, each without the outliers identified before."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_CAUSE_KIND)
 """Kinds of causes of a misfit that may be errors of the tracker. Random displacements at each set-up (`centring`) have
 the same effect as errors of the tracker that repeat in all rounds."""
@@ -49,7 +49,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Phrase on the treatment of an identified error: `treatment_text`, or another one for centring errors."""
+    """Phrase on the treatment of an identified error: `treatment_text`, or another phrase for centring errors."""
     if cause.kind != CENTRING_CAUSE_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
@@ -63,8 +63,7 @@ class NetworkTests:
     """Tests of lengths and two-face differences, with their errors and limits."""
     corrected_causes: tuple[CauseTest, ...]
     """Errors in the recording that are no errors of the tracker. They are removed from the tested readings; centring
-    errors are not removed, but included in the uncertainties.
-    """
+    errors are not removed, but included in the uncertainties."""
     tracker_causes: tuple[CauseTest, ...]
     """Possible errors of the tracker, which remain in the tested readings."""
     uncorrected_causes: tuple[CauseTest, ...]
@@ -75,7 +74,7 @@ class NetworkTests:
     """Ratio of the scatter of the readings to their declared noise if no cause of the scatter is identified; otherwise
     1."""
     n_errors_rejected_after_correction: int = 0
-    """Number of errors that are rejected if the readings are corrected by the estimated instrument constants."""
+    """Number of test errors that are rejected if the readings are corrected by the estimated instrument constants."""
 
     @property
     def identified_error_sentences(self) -> tuple[str, ...]:
@@ -136,8 +135,8 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
 
     The reference lengths come from the network adjusted with the instrument constants and with the errors identified in
     the recording, so that they contain neither. The lengths that a station measures in one face contain the errors of
-    the instrument. NetworkError is raised for a network with one station, which has no independent reference lengths,
-    for several instruments, and for a network that cannot be adjusted.
+    the instrument. `instrument_specification` has the limits. NetworkError is raised for a network with one station,
+    which has no independent reference lengths, for several instruments, and for a network that cannot be adjusted.
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")
@@ -173,7 +172,7 @@ def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tupl
     outliers: list[CauseTest] = []
     for _ in range(MAX_OUTLIER_ROUNDS):
         calibration = calibrate(recording, advise=False)
-        identified = [test for test in calibration.tests if test.kind in OUTLIER_KINDS]
+        identified = [test for test in calibration.tests if test.kind in OUTLIER_CAUSE_KINDS]
         if not identified:
             break
         outliers += identified

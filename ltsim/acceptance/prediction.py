@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.acceptance.files import (
     AcceptanceFile,
-    ConstantSensitivity,
+    InstrumentConstantSensitivity,
     TestOutcome,
     WorstPassingInstrument,
     group_summaries,
@@ -26,14 +26,13 @@ from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
 MAX_NEGLIGIBLE_FRACTION_OF_LIMIT = 1e-6
-"""Change of a test's error, as a fraction of its limit, that counts as rounding. If an instrument constant with the
-size of its prior standard deviation changes no test's error by more, no test counts as dependent on this constant."""
+"""Change of a test's error, as a fraction of its limit, that counts as rounding. A test counts as dependent on an
+instrument constant if the constant, with the size of its prior standard deviation, changes the error by more."""
 MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA = 1e-6
 """Size of an instrument constant, as a fraction of its prior standard deviation, below which it is replaced by zero."""
-MAX_PRIOR_SIGMAS = 3.0
+MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
-largest point errors that passes all tests.
-"""
+largest point errors that passes all tests."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,13 @@ class AcceptancePlan:
     """Plan of acceptance tests with their limits, for an instrument with a given geometric error model."""
 
     tests: tuple[AcceptanceTest, ...]
+    """Acceptance tests of the plan."""
     construction: GeometricErrorModel
-    """Error model of the instrument."""
+    """Geometric error model of the instrument."""
     specification: Specification
     """Manufacturer's specification with the limits of the tests."""
     declared_noise: Noise
-    """Standard deviations of the readings."""
+    """Declared standard deviations of the readings."""
 
     @cached_property
     def _test_end_points(self) -> tuple[Floats, Floats]:
@@ -54,38 +54,38 @@ class AcceptancePlan:
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
-    def is_length(self) -> Bools:
-        """Mask (tests,) of the tests of a length; all other tests are two-face tests."""
+    def is_length_test(self) -> Bools:
+        """Mask (tests,) that is True for the tests of a length, and False for two-face tests."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
     def permissible_errors(self) -> Floats:
-        """Maximum permissible errors by the specification, (tests,) [m]."""
+        """Maximum permissible errors (tests,) [m] by the specification."""
         first, second = self._test_end_points
         limit = self.specification.two_face_limits(first)
-        chosen = self.is_length
+        chosen = self.is_length_test
         limit[chosen] = self.specification.length_limits(first[chosen], second[chosen])
         return limit
 
     def test_errors(self, constants: Floats) -> Floats:
-        """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with given `constants`.
+        """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with these `constants`.
 
-        The row of a length contains measured minus true length, and 0. The row of a two-face test contains front-face
-        minus back-face point, to the left and upwards as seen from the instrument.
+        The row of a length contains measured minus true length, and 0. The row of a two-face test contains the point
+        measured in face 1 minus that in face 2, to the left and upwards as seen from the instrument.
         """
         first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)
         points = from_polar(self.construction.readings_from_points(first, front, constants))
         far_points = from_polar(
-            self.construction.readings_from_points(second, np.where(self.is_length, 1, 2), constants)
+            self.construction.readings_from_points(second, np.where(self.is_length_test, 1, 2), constants)
         )
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = components_across_beam(points - far_points, first)[~self.is_length]
+        errors[~self.is_length_test] = components_across_beam(points - far_points, first)[~self.is_length_test]
         return errors
 
     @cached_property
-    def sensitivities(self) -> Floats:
+    def test_error_derivatives(self) -> Floats:
         """Derivative (tests, 2, constants) [m per SI unit] of the test errors by the instrument constants."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.test_errors(s) - self.test_errors(-s)) / (2 * s.sum()) for s in steps]
@@ -93,7 +93,7 @@ class AcceptancePlan:
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (tests, 2) [m] of both components of the test errors due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of both components of the test errors, due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._beam_axes_and_noise(points) for points in (first, second))
@@ -102,7 +102,7 @@ class AcceptancePlan:
         direction = way / np.where(line_lengths > 0, line_lengths, 1.0)
         for axes, sigma in (near, far):
             squares[:, 0] += np.sum((np.einsum("kai,ki->ka", axes, direction) * sigma) ** 2, axis=1)
-        squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
+        squares[~self.is_length_test] = 2 * near[1][~self.is_length_test, 1:] ** 2
         return np.sqrt(squares)
 
     def _beam_axes_and_noise(self, points: Floats) -> tuple[Floats, Floats]:
@@ -120,8 +120,8 @@ class AcceptancePlan:
         """Predicted tests of an instrument whose constants have a known mean and covariance.
 
         `mean_constants` has the shape (constants,) [SI], `covariance` (constants, constants) [SI]. The probability to
-        pass is estimated with `n_trials` random draws of constants and noise; the errors are linear in the difference
-        of the constants from their mean.
+        pass is estimated with `n_trials` random draws of instrument constants and noise; the errors are linear in the
+        difference of the constants from their mean.
         """
         rng = random_stream(seed, "accept")
         mean_errors = self.test_errors(mean_constants)
@@ -132,7 +132,8 @@ class AcceptancePlan:
         for start in range(0, n_trials, 2000):
             count = min(2000, n_trials - start)
             drawn = (
-                rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
+                rng.standard_normal((count, root.shape[1]))
+                @ (self.test_error_derivatives @ root).reshape(-1, root.shape[1]).T
             )
             noise = rng.standard_normal((count, *self.error_sigmas.shape)) * self.error_sigmas
             within = self.is_within_limits(mean_errors + drawn.reshape(count, *mean_errors.shape) + noise)
@@ -141,7 +142,8 @@ class AcceptancePlan:
             for name, mine in of_group.items():
                 groups[name] += int(within[:, mine].all(axis=1).sum())
         variance = (
-            np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.error_sigmas**2
+            np.einsum("kip,pq,kiq->ki", self.test_error_derivatives, covariance, self.test_error_derivatives)
+            + self.error_sigmas**2
         )
         return AcceptancePrediction(
             expected_errors=mean_errors,
@@ -156,11 +158,11 @@ class AcceptancePlan:
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:
-        """Smallest size of each instrument constant at which a test fails, (constants,) [SI], and this test.
+        """Smallest size (constants,) [SI] of each instrument constant at which a test fails, and the test that fails.
 
         All other constants are zero. The size is infinite if no test depends on the constant.
         """
-        per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
+        per_unit = np.linalg.norm(self.test_error_derivatives, axis=1) / self.permissible_errors[:, None]
         indices = np.argmax(per_unit, axis=0)
         max_errors = per_unit[indices, np.arange(len(indices))]
         prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
@@ -174,16 +176,16 @@ class AcceptancePlan:
     def worst_passing_constants(self, prior_sigmas: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Instrument constants that pass all tests although the errors of `points` are largest, and these errors.
 
-        `points` has the shape (points, 3) [m]. The result is the constants (constants,) [SI], the root mean square
-        point error [m] and the largest point error [m]. The search is along the directions in the space of constants
-        with the largest ratio of point errors to test errors, up to the limits of the tests and to `MAX_PRIOR_SIGMAS`
-        times `prior_sigmas` (constants,) [SI].
+        `points` has the shape (points, 3) [m]. The result is the instrument constants (constants,) [SI], the root mean
+        square point error [m] and the largest point error [m]. The search is along the directions with the largest
+        ratio of point errors to test errors. It ends at the limits of the tests, and at
+        `MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS` times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
-        directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
+        directions = (self.test_error_derivatives * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
             -1, len(prior_sigmas)
         )
-        metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_PRIOR_SIGMAS**2
+        metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(metric))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array(
@@ -196,12 +198,12 @@ class AcceptancePlan:
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
-        """Longest vector of constants (constants,) [SI] along a direction that passes every test, accurate to 0.1 %.
+        """Longest vector (constants,) [SI] of instrument constants along a direction that passes every test, to 0.1 %.
 
         `unit_direction` (constants,) is in units of `prior_sigmas` (constants,) [SI].
         """
-        low, high = 0.0, MAX_PRIOR_SIGMAS
-        while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
+        low, high = 0.0, MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS
+        while high - low > 1e-3 * MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS:
             middle = (low + high) / 2
             passes = self.is_within_limits(self.test_errors(middle * unit_direction * prior_sigmas)).all()
             low, high = (middle, high) if passes else (low, middle)
@@ -213,12 +215,12 @@ class AcceptancePrediction:
     """Predicted results of acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors, (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left
-    and upwards."""
+    """Expected errors (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left and
+    upwards."""
     error_sigmas: Floats
-    """Standard deviations of the two components of `expected_errors` including noise, (tests, 2) [m]."""
+    """Standard deviations (tests, 2) [m] of the two components of `expected_errors`, including noise."""
     pass_probabilities: Floats
-    """Probability that each test passes, (tests,)."""
+    """Probability (tests,) that each test passes."""
     all_pass_probability: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
@@ -226,10 +228,10 @@ class AcceptancePrediction:
 
 
 def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
-    """Displacement of points measured in the front face by each instrument constant with the size `prior_sigma`.
+    """Displacement (coordinates, constants) [m] of points by each instrument constant with the size `prior_sigma`.
 
-    The rigid motion that fits the displacements best is subtracted. The shape is (coordinates, constants) [m] for
-    `points` (points, 3) [m] and `prior_sigma` (constants,) [SI].
+    The points are measured in face 1. The rigid motion that fits the displacements best is subtracted. `points` has the
+    shape (points, 3) [m], and `prior_sigma` (constants,) [SI].
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
@@ -265,7 +267,7 @@ def predicted_result(
     """
     values, rms, largest = plan.worst_passing_constants(prior_sigmas, points_around_instrument())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
-    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
+    errors = np.where(plan.is_length_test, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestOutcome(
@@ -281,7 +283,7 @@ def predicted_result(
     smallest, first = plan.smallest_failing_constants()
     parameters = plan.construction.parameters
     sensitivities = tuple(
-        ConstantSensitivity(
+        InstrumentConstantSensitivity(
             name=p.name,
             unit=p.unit,
             prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),

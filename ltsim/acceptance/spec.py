@@ -22,8 +22,8 @@ from ltsim.recordings.tables.sheets import read_small_table
 
 TestKind = Literal["length", "two-face"]
 """Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""
-TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-"""Names of the columns of a CSV table of tests that a user writes."""
+TEST_TABLE_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+"""Names of the columns of a CSV table of acceptance tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
 """Smallest reference length [m] that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
 CLOSEST_POSITION_DISTANCE = 1.2
@@ -39,9 +39,10 @@ class AcceptanceTest:
     """Acceptance test of a tracker: a length between two points, or one target measured in both faces."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
+    """False: pytest does not collect this class."""
 
     name: str
-    """Name of the test."""
+    """Name of the acceptance test."""
     group: str
     """Group of the test, such as the two-face tests or the lengths in one orientation."""
     kind: TestKind
@@ -103,7 +104,7 @@ def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg:
     """Test of a reference length, centred at the head's height and perpendicular to the line of sight.
 
     `distance` [m] and `azimuth_deg` are horizontal distance and azimuth of the centre of the length, `tilt_deg` is the
-    angle of the length above the horizontal.
+    angle of the length above the horizontal. `test_group` is the name of the group of the test.
     """
     half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
     midpoint = np.array([distance, 0.0, 0.0])
@@ -135,11 +136,12 @@ def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[f
 
 @as_input_error()
 def read_tests(file: Path) -> list[AcceptanceTest]:
-    """Tests from a user's CSV table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
+    """Acceptance tests from a user's CSV table with the columns `TEST_TABLE_COLUMNS`.
 
-    InputError, with row, column, value and the expected value, is raised for an invalid table.
+    In a two-face test the second point is empty. InputError, with row, column, value and the expected value, is raised
+    for an invalid table.
     """
-    tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
+    tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_TABLE_COLUMNS)]
     if not tests:
         raise InputError(f"{file}: the table has no rows; expected one row for each test")
     return tests
@@ -148,7 +150,10 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError."""
+    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError.
+
+    The table must have the `required_columns`, and may have the `optional_columns`.
+    """
     header, rows = read_small_table(file)
     missing = [name for name in required_columns if name not in header]
     if missing:
@@ -159,6 +164,7 @@ def read_table_rows(
 
 
 def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> AcceptanceTest:
+    """Acceptance test from a row of a CSV table; raises InputError with the row for invalid values."""
     kind = row["kind"]
     if kind not in ("length", "two-face"):
         raise InputError(f"{file}: row {line_number}: kind is '{safe_excerpt(kind)}', expected length or two-face")
@@ -171,6 +177,7 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
 
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
+    """Coordinates (3,) [m] of the point with the number `end_name` from a row of a CSV table; raises InputError."""
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
     coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
@@ -182,7 +189,7 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
 
 
 def points_around_instrument() -> Floats:
-    """Points (180, 3) [m] around an instrument, at which point errors that acceptance tests do not detect are computed.
+    """Points (180, 3) [m] around an instrument, at which errors that the acceptance tests do not detect are computed.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
     """
@@ -192,7 +199,7 @@ def points_around_instrument() -> Floats:
     return from_polar(np.stack([range_.ravel(), azimuth.ravel(), elevation.ravel()], axis=1))
 
 
-MAX_TRIALS = 10_000_000
+MAX_ACCEPTANCE_TRIALS = 10_000_000
 """Largest number of random draws that an acceptance file may request."""
 
 
@@ -200,7 +207,7 @@ class AcceptanceSettings(TomlSection):
     """Content of an acceptance file; paths of other files are relative to it.
 
     With `measured_errors_file`, measured errors are evaluated. With `recording`, lengths between the targets of a
-    network replace calibrated lengths. With neither, the tests are predicted, for the instrument of `calibration` or
+    network replace calibrated lengths. Without both, the tests are predicted, for the instrument of `calibration` or
     for any instrument that meets the specification.
     """
 
@@ -237,27 +244,26 @@ class AcceptanceSettings(TomlSection):
     """Path of the recording of a network that the instrument measured; its targets provide the reference lengths."""
     measured_errors_file: str | None = None
     """CSV file of measured errors with the columns test, error_um and U_um (expanded uncertainty, may be empty)."""
-    trials: Annotated[int, Field(ge=1000, le=MAX_TRIALS)] = 20_000
+    trials: Annotated[int, Field(ge=1000, le=MAX_ACCEPTANCE_TRIALS)] = 20_000
     """Number of random draws with which the probability to pass is estimated."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random draws."""
 
     @model_validator(mode="after")
     def _check_complete(self) -> Self:
+        """Check that the keys of the file are complete and do not exclude each other; raises ValueError."""
         if self.instrument is None and self.specification is None:
-            raise ValueError("it should give instrument or the table [specification]")
+            raise ValueError("give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests_file is None):
-            raise ValueError("it should give either standard or tests")
+            raise ValueError("give either standard or tests_file")
         if self.standard == TWO_FACE_ONLY_STANDARD and self.additional_tests_file is None:
             raise ValueError(
-                "it should give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in"
+                "give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in"
             )
         if self.additional_tests_file is not None and self.standard is None:
-            raise ValueError(
-                "it should give additional_tests_file only with a standard, because tests_file contains all tests"
-            )
+            raise ValueError("give additional_tests_file only with a standard, because tests_file contains all tests")
         if self.recording is not None and self.measured_errors_file is not None:
-            raise ValueError("it should give recording or measured_errors_file, not both")
+            raise ValueError("give recording or measured_errors_file, not both")
         return self
 
     @property

@@ -32,8 +32,8 @@ ESTIMATED_NON_TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "orientation",
     "reflector-radius",
 )
-"""Kinds of causes that an adjustment estimates and that are no errors of the tracker: wrong additive constants,
-motions, air."""
+"""Kinds of causes of a misfit that an adjustment estimates and that are no errors of the tracker: wrong additive
+constants, motions, air."""
 
 
 def is_non_tracker_effect(effect: LinearEffect) -> bool:
@@ -47,10 +47,11 @@ def is_non_tracker_effect(effect: LinearEffect) -> bool:
 class TestedNetwork:
     """Adjusted network whose targets provide reference lengths for the readings of each station.
 
-    Additional parameters of the adjustment are those of effects and nuisance errors.
+    Additional parameters of the adjustment are those of effects and nuisance errors (such as centring errors).
     """
 
     __test__ = False
+    """False: pytest does not collect this class."""
 
     adjustment: Adjustment
     """Adjustment that also estimates the instrument constants and the errors identified in the recording."""
@@ -60,8 +61,8 @@ class TestedNetwork:
     """True if the readings are corrected by the estimated instrument constants before the tests."""
 
     @cached_property
-    def _extra_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
-        """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
+    def _additional_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
+        """Estimated effects and nuisance errors (such as centring errors), each with the slice of its parameters."""
         effects = self.adjustment.problem.model.effects_and_nuisance_errors
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
         return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]
@@ -70,7 +71,8 @@ class TestedNetwork:
     def _is_non_tracker_parameter(self) -> Bools:
         """Mask (additional parameters,) of the parameters of effects that are no errors of the tracker."""
         flags = [
-            np.full(at.stop - at.start, is_non_tracker_effect(effect)) for effect, at in self._extra_parameter_slices
+            np.full(at.stop - at.start, is_non_tracker_effect(effect))
+            for effect, at in self._additional_parameter_slices
         ]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
@@ -81,13 +83,13 @@ class TestedNetwork:
         return np.arange(len(self._is_non_tracker_parameter)) >= n_effect_parameters
 
     @cached_property
-    def _extra_design(self) -> Floats:
-        """Change (pointings, 3, parameters) of the readings per unit of each effect or nuisance parameter."""
+    def _additional_parameter_design(self) -> Floats:
+        """Change (pointings, 3, parameters) of readings per unit of each parameter of an effect or nuisance error."""
         return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
 
     @cached_property
-    def corrected_front_face_readings(self) -> Floats:
-        """Readings (pointings, 3) [m, rad, rad] converted to the front face, without identified recording errors.
+    def corrected_readings_in_face_1(self) -> Floats:
+        """Readings (pointings, 3) [m, rad, rad] converted to face 1, without the errors identified in the recording.
 
         They are corrected by the instrument constants if `is_corrected_by_estimated_constants`.
         """
@@ -96,7 +98,7 @@ class TestedNetwork:
         if self.is_corrected_by_estimated_constants:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
-        for effect, at in self._extra_parameter_slices:
+        for effect, at in self._additional_parameter_slices:
             if is_non_tracker_effect(effect):
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
         return to_polar(from_polar(readings))
@@ -123,7 +125,10 @@ class TestedNetwork:
         return [entry for s in stations for entry in self.station_outcomes(s, is_tested, specification)]
 
     def station_outcomes(self, station: int, is_tested: Bools, specification: Specification) -> list[TestOutcome]:
-        """Outcomes of the tests of a station, from the pointings in the mask `is_tested` (pointings,)."""
+        """Outcomes of the tests of a station, from the pointings in the mask `is_tested` (pointings,).
+
+        `station` is the index of the station.
+        """
         recording = self.adjustment.recording
         rows_by_face = [
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
@@ -147,13 +152,16 @@ class TestedNetwork:
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean measured point (3,) [m] of each target in the instrument's frame, over the pointings `pointing_rows`."""
         points, targets = (
-            from_polar(self.corrected_front_face_readings[pointing_rows]),
+            from_polar(self.corrected_readings_in_face_1[pointing_rows]),
             self.adjustment.recording.target[pointing_rows],
         )
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
     def _length_outcomes(self, station: str, row_indices: Ints, specification: Specification) -> list[TestOutcome]:
-        """Outcomes of the tests of all lengths between targets, from the pointings of one station and face."""
+        """Outcomes of the tests of all lengths between targets, from the pointings of one station and face.
+
+        `station` is the name of the station, and `row_indices` are the pointings.
+        """
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
         mean_points = self._mean_points(row_indices)
@@ -182,10 +190,10 @@ class TestedNetwork:
     ) -> Floats:
         """Variances (lengths,) [m^2] of measured minus reference lengths, without errors of the instrument.
 
-        The two ends of a length share most errors (poses, instrument constants), so that the joint covariance of both
-        ends is used, together with the covariance of the corrections of the measured lengths. A length does not depend
-        on the datum. Nuisance errors are not corrected, because only the tested readings determine them; their prior
-        variance is added.
+        The two ends of a length share most errors (poses, instrument constants). The joint covariance of both ends is
+        therefore used, together with that of the corrections of the measured lengths. A length does not depend on the
+        datum. Nuisance errors are not corrected, because only the tested readings determine them; their prior variance
+        is added. `point_pairs` (lengths, 2) are indices of the ends in `targets`.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
         length_changes = np.einsum(
@@ -214,7 +222,7 @@ class TestedNetwork:
         variance therefore consists of the uncertainty of the errors removed from the recording, and of nuisance errors
         that differ between the faces. Noise beyond the declared noise is added, because its cause may not be the
         instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (targets, 3)
-        [m].
+        [m]. `rows_by_face` are the pointings in each face.
         """
         _, across, up = unit_vectors(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
@@ -245,8 +253,13 @@ class TestedNetwork:
         return np.asarray(self.adjustment.factorised_normals.multiply_by_covariance(unit)[columns])
 
     def _mean_point_derivatives_by_effects(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances."""
-        point_changes = self._point_derivatives_by_readings(row_indices) @ self._extra_design[row_indices]
+        """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances.
+
+        Nuisances are nuisance errors, such as centring errors. `row_indices` are the averaged pointings.
+        """
+        point_changes = (
+            self._point_derivatives_by_readings(row_indices) @ self._additional_parameter_design[row_indices]
+        )
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
 
     def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:
@@ -257,9 +270,9 @@ class TestedNetwork:
     def _point_derivatives_by_readings(self, row_indices: Ints) -> Floats:
         """Derivative (pointings, 3, 3) of measured points by the raw readings of the pointings `row_indices`."""
         faces = self.adjustment.recording.face[row_indices]
-        return np.asarray(np.linalg.inv(polar_jacobian(self.corrected_front_face_readings[row_indices], faces)))
+        return np.asarray(np.linalg.inv(polar_jacobian(self.corrected_readings_in_face_1[row_indices], faces)))
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Vectors between points: second minus first row of `points` (targets, ...) for each index pair (pairs, 2)."""
+    """Vectors from the first to the second row of `points` (targets, ...) for each pair of `point_pairs` (pairs, 2)."""
     return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

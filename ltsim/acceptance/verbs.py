@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ltsim.acceptance.files import (
-    JUDGEMENT_ORDER,
+    JUDGEMENTS_FROM_WORST_TO_BEST,
     AcceptanceFile,
     Judgement,
     TestOutcome,
+    combined_judgement,
     group_summaries,
-    joint_judgement,
     measured_test_outcome,
 )
 from ltsim.acceptance.network import NetworkTests, evaluate_network
@@ -41,19 +41,19 @@ MAX_PREDICTED_TESTS = 2_000
 """Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
 MB."""
 MAX_TEST_DRAWS = 3e8
-"""Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
+"""Largest product of the number of tests and the number of random draws in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_DIVISOR_UM = 1e-3
 """Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
 DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
 )
-"""Sentence on the decision rule for measured errors."""
+"""Sentence on the rule by which measured errors are accepted or rejected."""
 NETWORK_UNCERTAINTY_TEXT = (
     "U of a length contains the adjusted network and the errors removed from the recording. A two-face error has no "
     "reference: its U contains only those errors and scatter beyond the declared noise, so that it may be 0."
 )
-"""Sentences on the expanded uncertainties U of test errors in a network."""
+"""Sentences on the content of the expanded uncertainties U of test errors in a network."""
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
@@ -74,8 +74,8 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     Examples
     --------
     >>> import ltsim as lt
-    >>> found = lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"})
-    >>> found.error_origin, len(found.tests)
+    >>> result = lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"})
+    >>> result.error_origin, len(result.tests)
     ('predicted', 74)
     """
     place = Path(folder)
@@ -96,6 +96,7 @@ def _require_few_draws(n_tests: int, n_trials: int) -> None:
 
 
 def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
+    """Prediction of the tests, or evaluation of the measured errors or of the network that the settings name."""
     limits = acceptance_settings.specification_or_data_sheet
     if acceptance_settings.recording is not None:
         recording = read(folder / acceptance_settings.recording)
@@ -181,12 +182,12 @@ def evaluated_result(
     recording: Recording | None = None,
     network_tests: NetworkTests | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors, with joint judgement, sentence and next actions.
+    """Content of `accept.json` for measured errors, with the judgement of all errors, sentence and next actions.
 
     `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
     recording and `network_tests` its tests, which are also `test_outcomes`.
     """
-    judgement = joint_judgement([t.judgement for t in test_outcomes if t.judgement])
+    judgement = combined_judgement([t.judgement for t in test_outcomes if t.judgement])
     is_valid = network_tests is None or not network_tests.uncorrected_causes
     if not is_valid or (judgement == "accepted" and unmeasured_tests):
         judgement = "undecided"
@@ -218,13 +219,14 @@ def evaluated_result(
 
 
 def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
+    """Outcome with this judgement whose error exceeds its limit most, or is closest to it."""
     return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 
 def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
-    """Sentence with the number of errors of each judgement, and the worst error."""
+    """Sentence with the number of errors of each judgement, the worst error, and the number of unmeasured tests."""
     numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
-    judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
+    judgement = next(j for j in JUDGEMENTS_FROM_WORST_TO_BEST if numbers[j])
     worst_entry = _worst_outcome_with_judgement(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
         "" if worst_entry.expanded_uncertainty_um is None else f" +- {worst_entry.expanded_uncertainty_um:.1f} um"
@@ -288,9 +290,11 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
     """
 
     def margin(test_outcome: TestOutcome) -> float:
+        """Distance [um] between the absolute error of a test and its limit."""
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
     def ratio(test_outcome: TestOutcome) -> float:
+        """Ratio of the expanded uncertainty of a test to the distance of its error from the limit."""
         return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_DIVISOR_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]

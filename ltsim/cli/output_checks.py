@@ -78,10 +78,15 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: boo
 def _result_file_names() -> set[str]:
     """Names of all result files with a fixed name, and of their tables; a file of true values has no fixed name."""
     from ltsim.recordings.native import OBSERVATIONS_FILE
-    from ltsim.reports.schemas import COMPANION_TABLES, MODEL_BY_FILE_NAME
+    from ltsim.reports.schemas import COMPANION_TABLES_BY_RESULT_FILE, MODEL_BY_FILE_NAME
 
     truth = "truth.json"
-    tables = {table.file for file, companions in COMPANION_TABLES.items() if file != truth for table in companions}
+    tables = {
+        table.file
+        for file, companions in COMPANION_TABLES_BY_RESULT_FILE.items()
+        if file != truth
+        for table in companions
+    }
     return {OBSERVATIONS_FILE, *MODEL_BY_FILE_NAME, *tables} - {truth}
 
 

@@ -20,9 +20,9 @@ from ltsim.recordings.setup import ReportHeader
 
 def check_page_folder(folder: Path, force: bool) -> None:
     """Check that the report page of a folder replaces no file other than a page of ltsim; raises RecordError."""
-    from ltsim.reports.page import PAGE_FILE  # slow to import
+    from ltsim.reports.page import REPORT_PAGE_FILE_NAME  # slow to import
 
-    check_new_file(folder / PAGE_FILE, force)
+    check_new_file(folder / REPORT_PAGE_FILE_NAME, force)
 
 
 ViewSourceArgument = Annotated[

@@ -1,1 +1,1 @@
-"""Diagnosis: search for unmodelled causes in a recording, with the place, size and probability of each."""
+"""Diagnosis: search for unmodelled causes of misfit in a recording, each with its place, size and probability."""

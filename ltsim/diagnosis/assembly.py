@@ -1,4 +1,4 @@
-"""Assembly of the result of a diagnosis: findings of the selected model, of tests, and on changes of the noise."""
+"""Assembly of the result of a diagnosis from findings of the selected model, of tests, and on changed noise levels."""
 
 from collections.abc import Sequence
 
@@ -43,7 +43,7 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.scene.sightings import Sightings
 
 MAX_REPORTED_NOISE_SIZES = 12
-"""Largest number of targets, set-ups or readings whose noise a finding reports separately."""
+"""Largest number of targets, set-ups or readings whose changed noise level a finding reports separately."""
 
 
 def assemble_diagnosis(
@@ -57,28 +57,30 @@ def assemble_diagnosis(
     *,
     is_mismatch: bool,
 ) -> Diagnosis:
-    """Diagnosis from the selected model after its refit, and from the findings of tests.
+    """Diagnosis from the selected model after its nonlinear refit, and from the findings of tests.
 
     `recording_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
-    `test_findings` are the findings of tests, which need no search. `final_adjustment` is the adjustment with the
-    selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
-    of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
+    `test_findings` are findings that need no search, such as blunders. `final_adjustment` is the adjustment with the
+    selected model, or without it if the former did not converge. `held_out_errors` are prediction errors of held-out
+    readings. `cause_selection` has the simple causes that the adjustment identified before the search, None without
+    them. `is_mismatch` is True if the global test rejects the agreement of readings and model.
     """
     state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
     shift_findings = [
         model_fit.finding_of_effect(i)
         for i, hypothesis in enumerate(model.hypotheses)
-        if hypothesis.key not in model_fit.unreported_effect_keys
+        if hypothesis.effect_key not in model_fit.unreported_effect_keys
     ]
     has_clock = state.recording.has_clock
     noise_findings = [
-        _noise_finding(change, baseline.sightings, global_test, has_clock=has_clock) for change in state.noise_changes
+        _noise_finding(change, baseline.sightings, global_test, has_clock=has_clock)
+        for change in state.selected_noise_hypotheses
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
-    if model.hypotheses or state.noise_changes:
-        dof = baseline.dof - model.basis.shape[1]
+    if model.hypotheses or state.selected_noise_hypotheses:
+        dof = baseline.dof - model.projected_basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
     verdict = "mismatch" if is_mismatch or test_findings else "consistent"
     detectable, undetectable = detectability
@@ -119,10 +121,10 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis, sorted by decreasing chi-square drop.
+    """Findings of a diagnosis, sorted by decreasing drop of chi-square.
 
-    They are findings of tests, of effects that shift readings, and of changes of the noise. Improbable changes of the
-    noise are reported only if there is no other finding.
+    They are findings of tests (such as blunders), of effects that shift readings, and on changed noise levels.
+    Improbable findings on the noise are reported only if there is no other finding.
     """
     probable_noise = [
         finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
@@ -134,10 +136,11 @@ def _reported_findings(
 def _averaged_targets_and_reading_change(
     model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates, and change (n, 3) of the readings of n pointings minus their change by the refit.
+    """Averaged target coordinates, and averaged change (n, 3) of the readings of n pointings minus that by the refit.
 
-    Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
-    those of the ordinary adjustment.
+    The averages are over the possible causes of each finding. `shift_findings` are findings of effects that shift
+    readings, `noise_findings` those on the noise. If no cause is more probable than not, the coordinates are those of
+    the ordinary adjustment. The unit of the change is [m, rad, rad].
     """
     state = model_fit.selection_state
     targets, change = average_over_explanations(
@@ -155,7 +158,11 @@ def _averaged_targets_and_reading_change(
 def _noise_finding(
     hypothesis: NoiseHypothesis, sightings: Sightings, global_test: GlobalTestResult, *, has_clock: bool = True
 ) -> Finding:
-    """Finding that reports a change of the noise, limited to the observables in which the change is significant."""
+    """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
+
+    `global_test` gives its p-value. `has_clock` is True if the recording has times, so that intervals of time are texts
+    of times and not of rows.
+    """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
@@ -199,7 +206,10 @@ def _noise_finding(
 
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
+    """Names of the observables whose noise is significantly larger than declared.
+
+    If the largest change is a decrease, they are those whose noise is significantly smaller than declared.
+    """
     plausible_sizes = hypothesis.effect.plausible_sizes
     sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes
     signed_sizes = (

@@ -1,9 +1,10 @@
-"""Bayesian model average of the target coordinates over the explanations that the recording does not exclude.
+"""Bayesian model average of the target coordinates over all explanations that the recording does not exclude.
 
-An explanation is one possible cause of the residuals: an effect, a law, or no effect. Each explanation shifts the
-adjusted coordinates. The prior shrinks the size of the explanation, and the weight of the explanation in the average is
-its probability (Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is an approximation. Log
-evidences are therefore divided by a temperature above 1. The covariance includes the variance between explanations.
+An explanation is one possible cause of the residuals: a catalogue effect, an empirical law, or no effect. Each
+explanation shifts the adjusted coordinates. Its prior shrinks its size. Its weight in the average is its probability
+(Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is an approximation. Log evidences are
+therefore divided by a temperature above 1. The covariance of the coordinates includes the variance between
+explanations.
 
 Only a fraction t of the shift s of the targets by empirical laws is applied, because the laws may be wrong. Without the
 shift, the error of the coordinates is s plus an independent error e. Subtracting t s changes the sum of squared errors
@@ -27,42 +28,50 @@ from ltsim.diagnosis.evidence import (
     normalised_probabilities,
     wide_prior_posterior,
 )
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking
 from ltsim.diagnosis.search import Searcher
-from ltsim.diagnosis.shape_constants import shape_constants_nodes
+from ltsim.diagnosis.shape_parameters import shape_parameter_nodes
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 MAX_RELATIVE_COORDINATE_ERROR_INCREASE = 0.05
-"""Relative increase of the coordinate error by the correction for a law that is exceeded with a probability of at most
-`MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`."""
+"""Relative increase of the coordinate error that a correction for an empirical law may cause. A larger increase is
+permitted only with the probability `MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`."""
 MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE = 0.03
-"""Largest permitted probability that the relative increase of the coordinate error exceeds
-`MAX_RELATIVE_COORDINATE_ERROR_INCREASE`."""
+"""Largest permitted probability that a correction for an empirical law increases the coordinate error by more than the
+fraction `MAX_RELATIVE_COORDINATE_ERROR_INCREASE`."""
 MIN_PROBABILITY_OF_AVERAGED_EXPLANATION = 0.003
-"""Smallest probability of an explanation in the average. Less probable explanations are left out, to limit the
-computing time."""
+"""Smallest probability of an explanation (possible cause of the residuals) in the averaged coordinates. Less probable
+explanations are left out to limit the computing time."""
 
 
 def average_over_explanations(
-    searcher: Searcher, model: Model, rankings_of_alternatives: Sequence[Ranking], refit: Refit
+    searcher: Searcher, model: EffectModel, rankings_of_alternatives: Sequence[HypothesisRanking], refit: Refit
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates and change of the readings, averaged over the explanations for each effect in a model.
+    """Target coordinates and changes of the readings, averaged over the possible causes of each effect in a model.
 
-    `rankings_of_alternatives` contain the alternatives to each effect in the model, and `refit` is the nonlinear
-    adjustment with the model.
+    Parameters
+    ----------
+    searcher : Searcher
+        Search that evaluates the possible causes.
+    model : EffectModel
+        Selected effects.
+    rankings_of_alternatives : sequence of HypothesisRanking
+        Alternatives to each effect in the model, with their probabilities.
+    refit : Refit
+        Nonlinear adjustment with the effects in the model.
 
     Returns
     -------
     AveragedTargets
-        Coordinates and covariance of the refit, corrected by the average over the explanations.
+        Coordinates and covariance of the refit, corrected by the average over the possible causes.
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.hypotheses, refit.effects, strict=True)]
-    space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_with(refitted))
+    space, linear = searcher.residual_space, first_order_reading_change(searcher, searcher.model_with(refitted))
     points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings_of_alternatives):
@@ -90,12 +99,12 @@ def average_over_explanations(
 
 
 def _max_subtracted_fraction_of_target_shifts(
-    adjustment: Adjustment, target_shifts: Floats, explanation_deviations: Floats
+    adjustment: Adjustment, target_shifts: Floats, weighted_deviations_by_explanation: Floats
 ) -> float:
-    """Largest fraction of a shift of the targets whose subtraction is likely to increase their errors only slightly.
+    """Largest fraction of a shift of the targets that can be subtracted with a small risk of larger coordinate errors.
 
-    `target_shifts` (T, 3) [m] are the shifts of T targets, and `explanation_deviations` (k, T, 3) [m] are the weighted
-    differences of the shifts by k explanations from their mean.
+    `target_shifts` (T, 3) [m] are the shifts of T targets. `weighted_deviations_by_explanation` (k, T, 3) [m] are the
+    weighted differences of the shifts by each of k possible causes from their mean.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
@@ -104,20 +113,23 @@ def _max_subtracted_fraction_of_target_shifts(
     shift_vector = np.zeros(adjustment.solution.system.design.shape[1])
     shift_vector[problem.unknowns.target_columns.ravel()] = shift
     deviations_along_shift = (
-        np.nan_to_num(explanation_deviations).reshape(len(explanation_deviations), len(shift)) @ shift
+        np.nan_to_num(weighted_deviations_by_explanation).reshape(len(weighted_deviations_by_explanation), len(shift))
+        @ shift
     )
     spread = float(
         shift_vector @ adjustment.factorised_normals.multiply_by_covariance(shift_vector[:, None])[:, 0]
         + deviations_along_shift @ deviations_along_shift
     )
-    noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(explanation_deviations**2))
+    noise = float(
+        np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(weighted_deviations_by_explanation**2)
+    )
     return max_subtracted_shift_fraction(float(shift @ shift), spread, noise)
 
 
 def max_subtracted_shift_fraction(
     shift_sum_of_squares: float, variance_of_cross_product: float, expected_sum_of_squared_errors: float
 ) -> float:
-    """Largest fraction t of a shift s of coordinates whose subtraction is likely to increase errors only slightly.
+    """Largest fraction t of a shift s of coordinates that can be subtracted with a small risk of larger errors.
 
     The error of the coordinates without the subtraction is s + e, with an error e that is independent of s. The
     subtraction of t s changes the sum of squared errors by t^2 s's - 2 t (s's + s'e). This change is below ((1 +
@@ -149,13 +161,17 @@ def max_subtracted_shift_fraction(
 
 
 def alternative_probabilities_and_reading_changes(
-    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis, ranking: Ranking, temperature: float
+    searcher: Searcher,
+    reduced_model: EffectModel,
+    selected_hypothesis: Hypothesis,
+    ranking: HypothesisRanking,
+    temperature: float,
 ) -> tuple[Floats, Floats]:
-    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of m whitened readings by each.
+    """Probabilities (k,) of k possible causes, and the change (k, m) of m whitened readings by each cause.
 
-    The first alternative is the effect `selected_hypothesis` itself, the last one is no effect. The probabilities of
-    changes of the noise are added to the last one, because they do not change readings either. `reduced_model` is the
-    model without the selected effect. Log evidences are divided by `temperature`.
+    The first cause is the effect `selected_hypothesis`, the last one is no effect. Noise hypotheses shift no reading,
+    so that their probabilities are added to the last one. `reduced_model` is the model without the selected effect, and
+    `ranking` contains its alternatives. Log evidences are divided by `temperature`.
     """
     none, *rest_of = normalised_probabilities(
         np.array([ranking.log_evidence_of_no_cause, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
@@ -164,7 +180,9 @@ def alternative_probabilities_and_reading_changes(
         (h, p) for h, p in zip(ranking.hypotheses, rest_of, strict=True) if p > MIN_PROBABILITY_OF_AVERAGED_EXPLANATION
     ]
     other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected_hypothesis.key]
+    other_models = [
+        (h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.effect_key != selected_hypothesis.effect_key
+    ]
     none += sum(p for h, p in zip(ranking.hypotheses, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
     instances = _hypotheses_at_probable_shapes(searcher, reduced_model, selected_hypothesis)
@@ -175,22 +193,22 @@ def alternative_probabilities_and_reading_changes(
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
-    """True for a hypothesis that is a change of the noise, which shifts no reading."""
+    """True for a hypothesis that changes the noise level and shifts no reading."""
     return isinstance(hypothesis.effect, NoiseEffect | VarianceFunction)
 
 
 def _hypotheses_at_probable_shapes(
-    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis
+    searcher: Searcher, reduced_model: EffectModel, selected_hypothesis: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
-    """Copies of a hypothesis with the most probable values of its shape constants, and the probability of each copy.
+    """Copies of a hypothesis with its most probable shape parameters, and the probability of each copy.
 
-    Shape constants are constants of an effect on which the readings depend nonlinearly, such as a period or a time
-    constant. `reduced_model` is the model without the hypothesis; its effects are taken into account.
+    Shape parameters enter the readings nonlinearly (period, time constant, onset time). `reduced_model` is the model
+    without the hypothesis; its effects are estimated together with the hypothesis.
     """
     shapes = (
         []
         if isinstance(selected_hypothesis.effect, EmpiricalLaw)
-        else shape_constants_nodes(
+        else shape_parameter_nodes(
             searcher.evidence_calculator, selected_hypothesis.effect, reduced_model, {}, uses_search_prior=True
         )
     )
@@ -205,22 +223,24 @@ def _hypotheses_at_probable_shapes(
     ]
 
 
-def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
+def first_order_reading_change(searcher: Searcher, model: EffectModel) -> Floats:
     """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
     if not model.hypotheses:
-        return np.zeros(searcher.space.n_equations)
+        return np.zeros(searcher.residual_space.n_equations)
     coefficient_means = wide_prior_posterior(
         *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]
-    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
+    change: Floats = (
+        np.hstack([searcher.residual_space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
+    )
     return change
 
 
-def expected_reading_change(searcher: Searcher, reduced_model: Model, hypothesis: Hypothesis) -> Floats:
-    """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given the effects of another model."""
+def expected_reading_change(searcher: Searcher, reduced_model: EffectModel, hypothesis: Hypothesis) -> Floats:
+    """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given effects of `reduced_model`."""
     moments = searcher.evidence_calculator.grams_and_scores([hypothesis.effect], reduced_model)[0]
     change: Floats = (
-        searcher.space.whitened_design(hypothesis.effect)
+        searcher.residual_space.whitened_design(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]
     )
     return change

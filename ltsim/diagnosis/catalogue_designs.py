@@ -1,8 +1,8 @@
-"""Design matrices of the effects of the catalogue as hypotheses, at every possible place and shape.
+"""Design matrices of the catalogue effects as hypotheses, for all stations and targets and all shape parameters.
 
-A place is the stations and targets where an effect acts, a shape the values of its shape constants. The effects are
-scored with the same vectors of the null ensemble and the same log evidence as the empirical laws. Sizes of arrays
-below: h effects with k parameters each, m rows of the residual space, v vectors of the null ensemble.
+A variant of an effect has a place (stations and targets where it acts) and shape parameters (such as a period). Sizes
+of arrays below: h variants with k parameters each, m observation equations, v vectors of the null ensemble (residuals
+and simulated residuals).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 from ltsim.diagnosis.evidence import (
-    MAX_LOG_EVIDENCE_DEFICIT,
+    MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION,
     log_mean_exp_by_group,
     simulated_log_evidence,
     size_factor_to_noise_level,
@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, gram_of_rows
 from ltsim.diagnosis.prior import log_prior_by_base_rate
-from ltsim.diagnosis.shape_constants import are_distinct
+from ltsim.diagnosis.shape_parameters import are_distinct
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -39,18 +39,19 @@ from ltsim.scene.sightings import Sightings
 MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN = 0.15
 """Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
 MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
-"""Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
+"""Largest number of local optima of a catalogue effect, over stations, targets and shape parameters, that are
+evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
-"""Number of places and shapes of a catalogue effect with the largest evidence among which local optima are sought."""
+"""Number of variants of a catalogue effect with the largest evidence among which local optima are sought."""
 ORDINARY_CALIBRATION_EFFECT_TYPES = tuple(type(effect) for effect in ORDINARY_CALIBRATION_EFFECTS)
 """Effect classes of the ordinary calibration, whose instrument constants every adjustment estimates. As a hypothesis,
-such an effect means that its constants are larger than their prior permits."""
+such an effect means that its instrument constants are larger than their prior permits."""
 
 
 def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
-    """Effects of the catalogue at every place and shape, and instrument constants of each of several instruments.
+    """Catalogue effects at all stations and targets, and instrument constants of each of several instruments.
 
-    `instruments` are the names of the instruments. Changes of the noise are not included.
+    `instruments` are the names of the instruments. Noise hypotheses are not included.
     """
     trackers = instrument_places(sightings, instruments)
     constants = [
@@ -64,37 +65,38 @@ def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str]
 
 
 @dataclass(frozen=True)
-class EffectGroup:
+class EffectDesignGroup:
     """Group of h effects with the same number k of parameters, whose design columns are stored in one matrix.
 
-    The matrix is sparse, or dense on the r rows of the residual space that the effects change.
+    The matrix is sparse, or dense on the r observation equations that the effects change.
     """
 
     n_parameters: int
-    """Number k of parameters of each effect."""
+    """Number k of parameters of each effect in the group."""
     effect_indices: Ints
-    """Indices (h,), in `CatalogueDesigns.effects`, of the h effects of the group."""
+    """Indices (h,) in `CatalogueDesigns.effects` of the h effects of the group."""
     row_indices: Ints | slice
-    """Indices (r,) of the r rows of the residual space on which the design columns are stored."""
+    """Indices (r,) of the r observation equations for which the design columns are stored."""
     transposed_designs: Floats32 | sp.csr_array
-    """Transposed design columns (h k, r) of h effects with k parameters on r rows of the residual space: one row per
-    parameter, in units of its plausible size."""
+    """Transposed design columns (h k, r) of h effects with k parameters on r observation equations, for plausible
+    sizes."""
     row_factors: Floats32
-    """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
+    """Factors (r,) on the r stored observation equations, for an adjustment with other weights of the readings."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns, times `row_factors`, of each of h effects, before projection."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual
+    space."""
     projected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
-    without a model; zeros before the first screening."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, projected onto the residual space without
+    effects; zeros before the first screening."""
 
     def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
-        """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
+        """Ranges of effects in the group whose products with `n_vectors` vectors fit into memory at the same time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def products_with_vectors(self, effect_range: slice, vectors: Floats | Floats32) -> Floats:
-        """Products (h, k, v) of the k scaled design columns of each of h effects in a range with v `vectors` (m, v).
+        """Products (h, k, v) of the k design columns of each of h effects in `effect_range` with v `vectors` (m, v).
 
-        The vectors have m rows, those of the residual space. The design columns are multiplied by `row_factors`.
+        The vectors have one element per observation equation. The design columns are multiplied by `row_factors`.
         """
         transposed_designs, count = (
             self.transposed_designs[effect_range.start * self.n_parameters : effect_range.stop * self.n_parameters],
@@ -107,8 +109,8 @@ class EffectGroup:
             )
         return products.reshape(effect_range.stop - effect_range.start, self.n_parameters, count)
 
-    def with_rows_scaled(self, row_factors: Floats32) -> EffectGroup:
-        """Copy of the group for a residual space with other weights: its m rows are multiplied by factors (m,)."""
+    def with_rows_scaled(self, row_factors: Floats32) -> EffectDesignGroup:
+        """Copy of the group whose observation equations are multiplied by factors (m,), for other weights."""
         weight = self.row_factors * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
             parts = (
@@ -137,46 +139,46 @@ class EffectGroup:
 
 @dataclass(frozen=True)
 class CatalogueDesigns:
-    """Effects of the catalogue with their design columns in units of plausible sizes.
+    """Variants of catalogue effects as hypotheses, with design columns in units of plausible sizes.
 
-    A family is one catalogue effect at all its places and shapes.
+    A family is the set of all variants of one catalogue effect: with other stations, targets or shape parameters.
     """
 
     effects: list[CandidateEffect]
-    """Effects that change a reading of the recording, h of them."""
-    groups: list[EffectGroup]
-    """Effects with their design columns, grouped by their number of parameters and their form of storage."""
-    families: tuple[str, ...]
-    """Names of the families, which are the names of the catalogue effects."""
+    """All h variants of catalogue effects that change at least one reading of the recording."""
+    groups: list[EffectDesignGroup]
+    """Groups of effects with the same number of parameters and the same form of storage (sparse or dense)."""
+    family_names: tuple[str, ...]
+    """Names of the catalogue effects, one for each family (all variants of the effect)."""
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) of each of h effects."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
     n_equations: int
-    """Number of rows of the residual space."""
+    """Number m of observation equations."""
     reading_sigmas: Floats
-    """Standard deviations (n, 3) of the readings of n pointings, by which the design columns are divided."""
+    """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, by which design columns are divided."""
 
     @cached_property
-    def log_family_prior(self) -> Floats:
-        """Log prior probability (families,) of each catalogue effect: the sum over all its places and shapes."""
-        return log_prior_by_base_rate("named", self.families)
+    def log_prior_by_family(self) -> Floats:
+        """Log prior probability (families,) of each catalogue effect, summed over all its variants."""
+        return log_prior_by_base_rate("named", self.family_names)
 
-    def log_prior_of_family(self, family: str) -> float:
-        """Log prior of the catalogue effect with the name `family`: the sum over all its places and shapes.
+    def log_prior_of_family(self, family_name: str) -> float:
+        """Log prior probability of the catalogue effect named `family_name`, summed over all its variants.
 
         It is defined also for effects that the search does not try, such as wrong readings in a large recording.
         """
-        names = self.families if family in self.families else (*self.families, family)
-        return float(log_prior_by_base_rate("named", names)[names.index(family)])
+        names = self.family_names if family_name in self.family_names else (*self.family_names, family_name)
+        return float(log_prior_by_base_rate("named", names)[names.index(family_name)])
 
     def hypotheses_of_effects(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
-        """Hypotheses of the given catalogue effects; effects that are not possible in the recording are left out."""
-        n_places = np.bincount(self.family_indices, minlength=len(self.families))
-        prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
+        """Hypotheses for the given catalogue effects; effects that are not possible in the recording are left out."""
+        n_places = np.bincount(self.family_indices, minlength=len(self.family_names))
+        prior = dict(zip(self.family_names, self.log_prior_by_family - np.log(n_places), strict=True))
         return tuple(Hypothesis(e, float(prior[e.name]), 0.0, e.name) for e in effects if e.name in prior)
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
-        """Design matrices of all effects that change a reading of this recording."""
+    def from_residual_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
+        """Design matrices of those of the given effects that change a reading; `space` is the residual space."""
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Floats32]]] = {}
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Floats32]]] = {}
@@ -224,9 +226,9 @@ class CatalogueDesigns:
         return cls(touching, effect_groups, names, family_indices, space.n_equations, space.sigma)
 
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
-        """Design matrices with the weights of another adjustment of the same readings.
+        """Copy of the design matrices with the weights of another adjustment of the same readings.
 
-        Poses and coordinates are not updated, because other weights move a network by far less than its lengths.
+        Poses and coordinates are not updated, because other weights change them only slightly.
         """
         ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading
@@ -235,16 +237,16 @@ class CatalogueDesigns:
         return replace(self, groups=groups, reading_sigmas=new_space.sigma)
 
     def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
-        """Log evidence (h,) of h effects given a model, null values (families, trials), and the screened designs.
+        """Log evidences (h,) of h effects, their null values (families, trials), and the screened designs.
 
-        The null values are log means of the evidence of catalogue effects, over places and shapes, for each of the
-        simulated recordings (trials). The first screening of a space computes the projected Gram matrices, which the
-        screened designs contain for later screenings with a model. The design columns are then also projected onto the
-        residual space of the model, which reduces their Gram matrices. A Gram matrix that is a Monte-Carlo estimate is
-        not reduced, because its difference from an exact value may vanish.
+        The null values are log evidences in simulated recordings (trials) of the null ensemble, averaged over the
+        variants of each catalogue effect. The first screening computes the projected Gram matrices, which the screened
+        designs contain for later screenings. With a model, the design columns are also projected onto the complement of
+        its effects, which reduces their Gram matrices. A Monte-Carlo estimate of a Gram matrix is not reduced, because
+        the difference could vanish.
         """
         values = np.zeros(len(self.effects))
-        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.families), null_ensemble.n_trials)
+        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.family_names), null_ensemble.n_trials)
         screened_groups = []
         for group in self.groups:
             grams = []
@@ -269,12 +271,12 @@ class CatalogueDesigns:
         return values, family_sums.log_means, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
-        """Effects of each family at all its places and shapes, without most effects of the ordinary calibration.
+        """Variants of each catalogue effect, without most effects of the ordinary calibration.
 
         The range scale is included, because a network without a known length absorbs it completely. `calibrate` reports
         the other instrument constants.
         """
-        families: list[list[Effect]] = [[] for _ in self.families]
+        families: list[list[Effect]] = [[] for _ in self.family_names]
         for family, effect in zip(self.family_indices.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
             families[family].append(effect)
@@ -285,14 +287,13 @@ class CatalogueDesigns:
         ]
 
     def local_optima(self, effect_indices: Ints, log_evidences: Floats) -> list[int]:
-        """Indices of the place and shape of a catalogue effect with the largest evidence, and of other local optima.
+        """Indices of the variant of an effect with the largest evidence, and of other local optima.
 
-        `effect_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
-        effects.
+        `effect_indices` are the indices of the variants, sorted by decreasing `log_evidences` (h,) of all h effects.
         """
         chosen = [int(effect_indices[0])]
         for i in effect_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
-            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT
+            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION
             if is_far_behind or len(chosen) == MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT:
                 break
             if all(are_distinct(self.effects[int(i)], self.effects[j]) for j in chosen):
@@ -300,12 +301,12 @@ class CatalogueDesigns:
         return chosen
 
     def log_evidence_by_family(self, log_evidences: Floats) -> Floats:
-        """Log evidence (f, ...) of f families, averaged over the places and shapes of each family.
+        """Log evidence (f, ...) of f catalogue effects, averaged over the variants of each effect.
 
-        `log_evidences` (h, ...) are the log evidences of all h effects.
+        `log_evidences` (h, ...) are those of all h variants.
         """
         return (
-            log_mean_exp_by_group(log_evidences, self.family_indices, len(self.families))
+            log_mean_exp_by_group(log_evidences, self.family_indices, len(self.family_names))
             if self.effects
             else log_evidences
         )
@@ -313,26 +314,24 @@ class CatalogueDesigns:
 
 @dataclass(frozen=True)
 class FamilyEvidenceSums:
-    """Summed evidence of each family over its places and shapes in simulated recordings, from some of its effects.
+    """Sums of the evidence of each catalogue effect over its added variants, in simulated recordings.
 
-    A family is one effect of the catalogue at all its places and shapes.
+    A variant has given stations, targets and shape parameters; the variants of one effect are a family.
     """
 
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) of each of h effects."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
     log_sums: Floats
-    """Log (families, trials) of the summed evidence of the added effects, by family and simulated recording (trial)."""
+    """Log (families, trials) of the summed evidence of the added variants, by effect and simulated recording
+    (trial)."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
-        """Sums to which no effect has been added, for `n_trials` simulated recordings."""
+        """Sums for `n_families` catalogue effects without any variant, for `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
-        """Sums with the `log_evidences` (b, trials) of the b effects with the indices `effect_indices` in addition.
-
-        The trials are simulated recordings.
-        """
+        """Sums after the addition of b effects with the indices `effect_indices` and `log_evidences` (b, trials)."""
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
@@ -342,18 +341,17 @@ class FamilyEvidenceSums:
 
     @property
     def log_means(self) -> Floats:
-        """Log (families, trials) of the mean evidence of each family over its places and shapes in each simulation."""
+        """Log (families, trials) of the mean evidence of the variants of each effect in each simulation (trial)."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 
 def _with_size_raised_to_noise(
     effect: CandidateEffect, design_columns: Floats, pointing_indices: Ints
 ) -> tuple[CandidateEffect, float]:
-    """Effect whose plausible size is raised to the noise of the readings if it is smaller, and the factor on its size.
+    """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
-    The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `design_columns`
-    (r, k) are the whitened changes of r nonzero rows by the plausible sizes of the k parameters, and `pointing_indices`
-    (r,) the pointing of each row.
+    The factor is 1 for effects of the air, whose size depends on the hall. `design_columns` (r, k) are whitened changes
+    of r readings by the plausible sizes of k parameters, `pointing_indices` (r,) the pointings of the readings.
     """
     if (
         not isinstance(effect, Effect)
@@ -370,17 +368,19 @@ def _with_size_raised_to_noise(
 
 def _dense_group(
     n_parameters: int, effect_indices: Sequence[int], transposed_designs: Floats32, row_indices: Ints
-) -> EffectGroup:
-    """Group of h effects with k parameters each, from `transposed_designs` (h, k, r) on r rows `row_indices` (r,)."""
+) -> EffectDesignGroup:
+    """Group of h effects with k parameters and `transposed_designs` (h, k, r) for r equations `row_indices` (r,)."""
     products, weight = gram_of_rows(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
     flattened = transposed_designs.reshape(-1, len(row_indices))
-    return EffectGroup(
+    return EffectDesignGroup(
         n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
     )
 
 
-def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int) -> EffectGroup:
-    """Group of effects with k parameters each that change only a few of the `n_rows` rows of the residual space.
+def _sparse_group(
+    n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int
+) -> EffectDesignGroup:
+    """Group of effects with k parameters each that change only a few of the `n_rows` observation equations.
 
     `indexed_designs` has the index, the r nonzero rows and the transposed design (k, r) of each effect.
     """
@@ -394,6 +394,6 @@ def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, 
     nonzero_values = np.concatenate([transposed_designs.ravel() for _, _, transposed_designs in indexed_designs])
     transposed_designs = sp.csr_array((nonzero_values, indices, ends), (len(indexed_designs) * n_parameters, n_rows))
     weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in indexed_designs])
-    return EffectGroup(
+    return EffectDesignGroup(
         n_parameters, effect_indices, slice(None), transposed_designs, weight, products, np.zeros_like(products)
     )

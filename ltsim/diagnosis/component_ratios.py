@@ -1,8 +1,8 @@
-"""Fixed ratio of the components of a law: all components are the same function of the regressor, in different sizes.
+"""Fixed ratio of the components of an empirical law: all components follow the same function, in different sizes.
 
 For example, a stand that sinks moves along one line, and an error often differs between set-ups only in its size. Let w
 be the number of components, each with k coefficients. With a ratio u (unit vector) of the components and coefficients c
-that they share, a law has k + w - 1 constants in place of w k. The evidence of the coefficients is exact at the ratio
+that they share, a law has k + w - 1 unknowns in place of w k. The evidence of the coefficients is exact at the ratio
 with the largest evidence. It is integrated over all ratios by Laplace's approximation with a uniform prior on the half
 sphere (MacKay 2003, Information Theory, Inference, and Learning Algorithms, ch. 27).
 """
@@ -16,17 +16,17 @@ from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coef
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 LAW_COMPONENT_RATIO_DECIMALS = 4
-"""Number of decimals to which the ratio of the components of a law (a unit vector) is rounded, so that the law equals
-the law that is read from its text form."""
+"""Number of decimals to which the ratio (unit vector) of the components of an empirical law is rounded. The law is then
+equal to the law that is read from its text form."""
 
 
 def best_component_ratio(
     gram: Floats, score: Floats, plausible_sizes: Floats, n_components: int
 ) -> tuple[tuple[float, ...], float, float]:
-    """Ratio of the components of a law with the largest evidence, as a unit vector (w,), and two logarithms.
+    """Most probable ratio (w,) (unit vector) of the w components of an empirical law, and two logarithms.
 
-    The first logarithm is the log evidence at this ratio, the second the log of the fraction of all ratios that the
-    readings permit. Their sum is the log evidence integrated over the ratios.
+    The first is the log evidence at this ratio. The second is the log of the fraction of all ratios that the readings
+    permit. Their sum is the log evidence integrated over all ratios.
 
     Parameters
     ----------
@@ -36,6 +36,8 @@ def best_component_ratio(
         Products of the projected design columns with the residuals.
     plausible_sizes : (w k,) float
         Plausible sizes of the coefficients, equal in all components.
+    n_components : int
+        Number w of components.
     """
     k = len(score) // n_components
     products, scores = gram.reshape(n_components, k, n_components, k), score.reshape(n_components, k)
@@ -64,7 +66,7 @@ def best_component_ratio(
 
 
 def _log_fraction_of_permitted_ratios(log_evidence_curvature: Floats, ratio: Floats) -> float:
-    """Log, at most 0, of the fraction of all ratios (points of a half sphere) that the readings permit.
+    """Log, at most 0, of the fraction of all component ratios (points of a half sphere) that the readings permit.
 
     `log_evidence_curvature` (w, w) is the curvature of the log evidence at its maximum, which is the `ratio` (w,) of
     the w components.

@@ -2,15 +2,15 @@
 
 Pointings are divided at random into five folds. Let P be the projector of the whole network onto the residual space, r
 its whitened residuals, and F a fold. An adjustment without the readings of the fold predicts them with the error e =
-P_FF^-1 r_F, whose covariance is P_FF^-1. Then effects, places, shapes and sizes are estimated without the fold, their
-changes are subtracted from all readings, and the fold is predicted again. Each of the two predictions has the
-normalised squared error e' P_FF e. Its expectation is 1 per reading if the model and the noise are correct. A false
+P_FF^-1 r_F, whose covariance is P_FF^-1. Then effects with their places, shape parameters and sizes are estimated
+without the fold. Their changes are subtracted from all readings, and the fold is predicted again. Both predictions have
+the normalised squared error e' P_FF e. Its expectation is 1 per reading if the model and the noise are correct. A false
 finding does not predict held-out readings. Half of the decrease of the normalised squared error is the gain of log
 score by the model; a negative gain is evidence against the model.
 
 To exclude readings is equivalent to estimating a separate error for each of them. The residual space without a fold is
-therefore that of a design matrix with additional unit columns, one for each reading of the fold. Only the weights of
-the readings, which changes of the noise affect, are those of the whole recording.
+therefore that of a design matrix with additional unit columns, one for each reading of the fold. The weights of the
+readings alone, which the noise hypotheses affect, are those of the whole recording.
 """
 
 from collections.abc import Sequence
@@ -26,27 +26,27 @@ from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
-N_FOLDS = 5
-"""Number of folds, a usual value in cross-validation; each search uses 80 % of the readings."""
+N_CROSS_VALIDATION_FOLDS = 5
+"""Number of folds of the cross-validation, a usual value; each search uses 80 % of the readings."""
 
 
 class HeldOutErrors(NamedTuple):
     """Root mean square errors of predicted held-out readings, in standard deviations of the prediction."""
 
     rms_without_model: float | None = None
-    """Rms error of predictions by the ordinary adjustment; None if no reading can be predicted."""
+    """Rms error of held-out readings predicted by the ordinary adjustment; None if no reading can be predicted."""
     rms_with_model: float | None = None
-    """Rms error of predictions with the model that was selected without the predicted readings; None also without a
-    search."""
+    """Rms error of held-out readings predicted with the effects that were selected without these readings; None without
+    a search, or if no reading can be predicted."""
     log_score_gain: float = 0.0
-    """Increase of the log score (log density) of the held-out readings by the model; 0 without a search."""
+    """Increase of the log score (log density) of the held-out readings by the selected effects; 0 without a search."""
     log_score_gain_sigma: float = 0.0
     """Standard error of `log_score_gain`, from its scatter between the pointings (Vehtari, Gelman and Gabry 2017,
     Statistics and Computing 27, 1413)."""
 
     @property
     def log_odds_of_model(self) -> float:
-        """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0.
+        """Log odds of the selected effects against no effect; negative if held-out readings contradict them, else 0.
 
         It is the log score gain plus `MIN_SIGNIFICANT_SIGMAS` standard errors if this sum is negative (pseudo-Bayes
         factor; Geisser and Eddy 1979, J. Am. Stat. Assoc. 74, 153). An effect at one target or set-up, which few other
@@ -61,14 +61,14 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the recording; the whitening with its noise defines the unit of the errors.
+        Residual space of the adjustment; its standard deviations of the readings are the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
         Search on the same readings. Without a search, `rms_with_model` of the result is None.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
-    groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
+    groups, pointing = random_fold_row_indices(space, seed), np.nonzero(space.is_used_reading)[0]
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
         np.add.at(
             before, pointing[rows], _normalised_errors_on_fold(space.whitened_residuals[rows], values, vectors) ** 2
@@ -88,12 +88,14 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     return HeldOutErrors(rms_before, float(np.sqrt(after.sum() / count)), float(gains.sum()), sigma)
 
 
-def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the used readings of each random fold; all pointings of a target from a set-up are in the same fold."""
+def random_fold_row_indices(space: ResidualSpace, seed: int) -> list[Ints]:
+    """Indices of the used readings in each random fold; pointings from one set-up to one target share a fold."""
     pointing, sightings = np.nonzero(space.is_used_reading)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
-    fold_of_pair = random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
-    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
+    fold_of_pair = (
+        random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_CROSS_VALIDATION_FOLDS
+    )
+    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_CROSS_VALIDATION_FOLDS))
     return [rows for rows in row_folds if len(rows)]
 
 
@@ -112,7 +114,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
-    """Change (m,) of m whitened rows by the model that the search selects; 0 for rows that are no readings."""
+    """Change (m,) of m whitened observations by the effects that a search selects; 0 for other observations."""
     model = searcher.select_effects(requires_effect=True)
     if not model.hypotheses:
         return np.zeros(space.n_equations)

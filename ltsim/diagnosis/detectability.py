@@ -1,4 +1,4 @@
-"""Detectability of the effects of the catalogue, and the measurement that discriminates between explanations."""
+"""Detectability of the catalogue effects, and the measurement that discriminates between possible causes."""
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby, repeat
@@ -29,19 +29,20 @@ from ltsim.physics.effects.linear_effect import LinearEffect
 
 MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO = 10.0
 """Limit of the ratio of the smallest detectable size of an effect to its plausible size. An effect with a smaller ratio
-counts as detectable, any other is reported as not detectable."""
+is reported as detectable, any other as not detectable."""
 TARGET_DISTORTION_UM_DECIMALS = 6
-"""Number of decimals to which a distortion of the targets in micrometres is rounded."""
+"""Number of decimals to which a distortion of the targets [um] is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
 def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesigns) -> DetectabilityReport:
-    """Detectable effects of the catalogue, and undetectable effects in the order of decreasing target errors.
+    """Detectable catalogue effects, and undetectable effects sorted by decreasing target errors.
 
-    The smallest detectable size of an effect is the median over its places (stations and targets). An effect with
-    several parameters is reported with the parameter that has the smallest ratio of the detectable to the plausible
-    size. `catalogue_designs` contain all effects of the catalogue at all places.
+    The smallest detectable size of an effect is the median over the stations and targets where it may act. An effect
+    with several parameters is reported with the parameter that has the smallest ratio of the detectable to the
+    plausible size. `space` is the residual space of the adjustment, and `catalogue_designs` contain all effects of the
+    catalogue at all stations and targets.
     """
     detectable, undetectable = [], []
     for effects in catalogue_designs.effects_grouped_by_family():
@@ -56,9 +57,10 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
 
 
 def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
-    """Detectability of one effect of the catalogue at a sample of its places, computed in double precision.
+    """Detectability of a catalogue effect at a sample of the stations and targets where it may act.
 
-    `effects` are the variants of this effect, one for each of its places and shapes.
+    It is computed in double precision. `effects` are the variants of the effect, one for each combination of stations,
+    targets and shape parameters. `space` is the residual space of the adjustment.
     """
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(subsample_evenly(effects), key=lambda effect: len(effect.parameters)):
@@ -77,7 +79,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
 
 
 def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ratio: float) -> UndetectableEntry:
-    """Entry of an effect that is not detectable.
+    """Entry of `diagnosis.json` for an effect that is not detectable.
 
     `detectable_size_ratio` is the smallest detectable size of the effect divided by its plausible size.
     """
@@ -103,7 +105,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
 
 
 def target_distortion_um(space: ResidualSpace, shift: Floats) -> float:
-    """Distortion [um] of the adjusted targets by a whitened `shift` (m,) of m readings.
+    """Distortion [um] of the adjusted targets by a whitened `shift` (m,) of m observations.
 
     It is the rms displacement of the targets after a rigid least-squares fit.
     """
@@ -119,8 +121,8 @@ def separating_measurement_sentence(
 ) -> str:
     """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
 
-    `effect_name` and `equivalent_names` are names of the catalogue. `other_effects` are the effects of the other
-    findings, which are in the model in any case.
+    `effect_name` and `equivalent_names` are names of catalogue effects. `other_effects` are the effects of the other
+    findings, which are estimated in addition.
     """
     names = _names_of_comparable_effects(effect_name, equivalent_names)
     if not names:
@@ -134,9 +136,9 @@ def separating_measurement_sentence(
 
 
 def explanations_of_ambiguous_finding(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[LinearEffect, ...]]:
-    """Names of the explanations of the first ambiguous finding, and the effects of all other findings.
+    """Names of the possible causes of the first finding with several, and the effects of all other findings.
 
-    Both are empty for a diagnosis without an ambiguous finding.
+    Both results are empty for a diagnosis in which no finding has several possible causes.
     """
     for finding in diagnosis.findings:
         names = (
@@ -150,10 +152,11 @@ def explanations_of_ambiguous_finding(diagnosis: Diagnosis) -> tuple[tuple[str, 
 
 
 def _names_of_comparable_effects(effect_name: str, equivalent_names: Iterable[str]) -> tuple[str, ...]:
-    """Names of an effect and of its equivalents that shift readings; empty if there is nothing to compare."""
+    """Names of an effect and of its equivalents that shift readings; empty if there are no such equivalents."""
     remaining = [name for name in equivalent_names if name != "unknown" and _shifts_readings(name)]
     return (effect_name, *remaining) if remaining and _shifts_readings(effect_name) else ()
 
 
 def _shifts_readings(name: str) -> bool:
+    """True if the catalogue effect `name` shifts readings, False if it changes only their noise level."""
     return not issubclass(find_effect(name), NoiseEffect)

@@ -7,12 +7,12 @@ Decisions in their order, each with its function, its module and its criterion:
 2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
 3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
    recordings. The search goes on if its p-value is below the level.
-4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
+4. Noise hypotheses or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
 5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect increases the log
    evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
    evidence.
-7. Changes of the noise (`SelectionState.with_noise_change`) and effects in turns, while the log evidence increases.
+7. Noise hypotheses (`SelectionState.with_noise_hypothesis`) and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
 10. Effects of the model with too small a probability are not reported
@@ -41,15 +41,15 @@ from ltsim.diagnosis.cross_validation import HeldOutErrors, cross_validated_erro
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.findings import SelectedModelFit
-from ltsim.diagnosis.findings_from_tests import contradicting_constant_finding
+from ltsim.diagnosis.findings_from_tests import contradicting_instrument_constant_finding
 from ltsim.diagnosis.global_test import run_global_test
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.instruments import (
-    ConstantContradiction,
-    HistoryExpectation,
-    find_contradictions,
+    ExpectationFromEarlierCalibrations,
+    InstrumentConstantContradiction,
+    find_contradicting_instrument_constants,
 )
-from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_noise_and_effects
+from ltsim.diagnosis.model_selection import InstrumentConstantComparisonFunction, select_noise_and_effects
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
@@ -67,9 +67,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
 from ltsim.solve.threads import single_threaded
 
-MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO = 0.5
-"""Smallest ratio of two differences of an instrument constant from its reference (with the selected effects in the
-model, and without them) for which the difference is reported. Below this ratio the effects explain it."""
+MIN_UNEXPLAINED_INSTRUMENT_CONSTANT_DIFFERENCE_RATIO = 0.5
+"""Smallest ratio at which the difference of an instrument constant from its reference is reported: the difference with
+the selected effects in the model, divided by that without them. Below this ratio the effects explain the difference."""
 
 
 @raise_for_singular_network
@@ -82,7 +82,7 @@ def diagnose(
     history: EarlierCalibrationPrior | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnosis of a recording: agreement with the model, or otherwise the probable causes of the mismatch.
+    """Diagnosis of a recording: agreement with the model, or otherwise the probable causes of the misfit.
 
     Parameters
     ----------
@@ -113,9 +113,11 @@ def diagnose(
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS, "a diagnosis")
     construction = declared_construction(recording)
     compare_with_reference = (
-        find_contradictions
+        find_contradicting_instrument_constants
         if history is None
-        else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
+        else ExpectationFromEarlierCalibrations.from_calibrations(
+            history, recording, construction
+        ).find_contradicting_instrument_constants
     )
     selection = identify_causes(recording, construction)
     start_state = partial(
@@ -124,7 +126,7 @@ def diagnose(
     state, blunder_findings = start_state(level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
     is_mismatch = global_test.p_value < level
-    initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+    initial_space, initial_designs = state.residual_space, state.searcher.catalogue_designs
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
@@ -132,14 +134,16 @@ def diagnose(
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
-            initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+            initial_space, initial_designs = state.residual_space, state.searcher.catalogue_designs
             state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
-    contradictions = _contradictions_unexplained_by_model(state, model, final_adjustment, compare_with_reference)
+    contradictions = _contradicting_constants_unexplained_by_model(
+        state, model, final_adjustment, compare_with_reference
+    )
     constant_findings = [
-        contradicting_constant_finding(c)
+        contradicting_instrument_constant_finding(c)
         for c in contradictions
-        if not _varies_constant(c.parameter.name, model.effects)
+        if not _has_effect_varying_constant(c.parameter.name, model.effects)
     ][:MAX_MODEL_EFFECTS]
     repeats_search = not state.searcher.is_large_network if held_out is None else held_out
     errors = (
@@ -153,7 +157,7 @@ def diagnose(
         model,
         refit,
         has_test_findings=bool(
-            blunder_findings or constant_findings or _has_specific_noise_change(state.noise_changes)
+            blunder_findings or constant_findings or _has_specific_noise_hypothesis(state.selected_noise_hypotheses)
         ),
         held_out_log_odds=errors.log_odds_of_model,
     )
@@ -181,11 +185,12 @@ def _state_without_blunders(
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
-    """State before a search, without the blunders among the simple causes, and the findings of these blunders.
+    """State of the selection before a search, without blunders, and the findings on these blunders.
 
-    `selection` contains the simple causes of the network. With a `level` (false-alarm rate) the search has a p-value.
-    With `tests_ordinary_constants` changes of the constants of the ordinary calibration are hypotheses too.
-    `readmitted_mask` (n, 3) flags readings of blunders that are used nevertheless.
+    `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
+    search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
+    the ordinary calibration. `readmitted_mask` (n, 3) flags readings of n pointings that count as blunders but are
+    used.
     """
     if selection is None:
         baseline, blunder_findings = adjust(recording, construction), list[Finding]()
@@ -206,13 +211,16 @@ def _state_without_blunders(
 
 
 def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
+    """Flags (n, 3) of the omitted readings of n pointings whose residuals are small in an adjustment with effects.
+
+    `is_omitted` (n, 3) flags the omitted readings.
+    """
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
-def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
-    """True if one of the effects lets the instrument constant `constant_name` (a name) vary during the recording."""
+def _has_effect_varying_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
+    """True if one of `effects` lets the instrument constant named `constant_name` vary during the recording."""
     laws = (INSTRUMENT_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (instrument_constants_of_chain_error(getattr(e, "chain_error_key", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
@@ -220,30 +228,35 @@ def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> 
 
 
 def _search_and_refit(
-    state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
-) -> tuple[SelectionState, Model, Refit]:
-    """State after the search, the selected model, and its nonlinear refit; the model is empty unless `is_mismatch`."""
+    state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction, *, is_mismatch: bool
+) -> tuple[SelectionState, EffectModel, Refit]:
+    """State of the selection after the search, the selected model, and the nonlinear refit of this model.
+
+    If `is_mismatch` is False, no search is needed, and the model has no effects. `compare_with_reference` returns the
+    instrument constants that contradict their reference in an adjustment.
+    """
     state, model = (
         select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
     )
     return state, *_refit_and_prune(state, model)
 
 
-def _contradictions_unexplained_by_model(
+def _contradicting_constants_unexplained_by_model(
     state: SelectionState,
-    model: Model,
+    model: EffectModel,
     final_adjustment: Adjustment,
-    compare_with_reference: ConstantComparisonFunction,
-) -> tuple[ConstantContradiction, ...]:
-    """Instrument constants that contradict their reference with the selected model as well as without it.
+    compare_with_reference: InstrumentConstantComparisonFunction,
+) -> tuple[InstrumentConstantContradiction, ...]:
+    """Instrument constants that contradict their reference with the selected effects in the model, and without them.
 
-    Their difference from the reference with the model is at least `MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO` times the
-    difference without the model.
+    Their difference from the reference with the effects is at least
+    `MIN_UNEXPLAINED_INSTRUMENT_CONSTANT_DIFFERENCE_RATIO` times the difference without the effects.
+    `compare_with_reference` returns the contradictions in an adjustment.
     """
     with_model = compare_with_reference(final_adjustment).contradictions
     if not model.hypotheses:
         return with_model
-    contradictions = compare_with_reference(state.space.adjustment).contradictions
+    contradictions = compare_with_reference(state.residual_space.adjustment).contradictions
     difference_by_constant = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference_from_reference)
         for contradiction in contradictions
@@ -252,12 +265,12 @@ def _contradictions_unexplained_by_model(
         c
         for c in with_model
         if abs(c.difference_from_reference)
-        > MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO
+        > MIN_UNEXPLAINED_INSTRUMENT_CONSTANT_DIFFERENCE_RATIO
         * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )
 
 
-def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]:
+def _refit_and_prune(state: SelectionState, model: EffectModel) -> tuple[EffectModel, Refit]:
     """Model without the effects that its nonlinear refit does not support, and the refit of this model.
 
     The search is linear. The second-order part of a large effect can therefore look like a further effect.
@@ -277,29 +290,29 @@ def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]
     return model, refit
 
 
-def log_bayes_factor_of_refits(model: Model, reduced_model: Model, chi2_drop: float) -> float:
+def log_bayes_factor_of_refits(model: EffectModel, reduced_model: EffectModel, chi2_drop: float) -> float:
     """Log Bayes factor of a model against a model with fewer effects, from their nonlinear refits.
 
-    It is the difference of the log evidences of the linear models, in which the decrease of chi-square between the
-    nonlinear refits, `chi2_drop`, replaces the decrease between the linear models.
+    It is the difference of the log evidences of the linear models. The decrease of chi-square between the nonlinear
+    refits, `chi2_drop`, replaces that between the linear models.
     """
     linear = float(reduced_model.residual @ reduced_model.residual - model.residual @ model.residual)
     return model.penalised_log_evidence - reduced_model.penalised_log_evidence + 0.5 * (chi2_drop - linear)
 
 
-def _has_specific_noise_change(noise_changes: Sequence[NoiseHypothesis]) -> bool:
-    """True if any of the changes of the noise is not a change of the noise level of the whole recording."""
-    return any(not isinstance(change.effect, NoiseLevel) for change in noise_changes)
+def _has_specific_noise_hypothesis(selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> bool:
+    """True if any selected noise hypothesis is more specific than a noise level of the whole recording."""
+    return any(not isinstance(change.effect, NoiseLevel) for change in selected_noise_hypotheses)
 
 
-def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: bool) -> HeldOutErrors:
+def _held_out_errors(state: SelectionState, model: EffectModel, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` is
-    empty, it equals the error without a model.
+    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` has no
+    effects, it equals the error without a model.
     """
     nominal = state.recording.reading_sigmas()
-    space, seed = state.searcher.space, state.seed
+    space, seed = state.searcher.residual_space, state.seed
     if (state.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(state.refit((), np.maximum(state.reading_sigmas, nominal)).adjustment)
     if not model.hypotheses:

@@ -39,14 +39,16 @@ from ltsim.recordings.result_file import ResultFile
 
 @dataclass(frozen=True)
 class AveragedTargets(ValueEquality):
-    """Coordinates of T targets, averaged over the explanations of a recording."""
+    """Coordinates of T targets, averaged over the possible causes of the misfit of a recording (explanations)."""
 
     points: Floats
     """Averaged coordinates (T, 3) [m] of T targets."""
     covariance: Floats
-    """Covariance (T, 3, 3) [m^2] of the coordinates of each of T targets, with the variance between explanations."""
-    explanation_deviations: Floats
-    """Weighted differences (k, T, 3) [m] of the coordinates of T targets with each of k explanations from their mean.
+    """Covariance (T, 3, 3) [m^2] of the coordinates of each of T targets, with the variance between the possible
+    causes."""
+    weighted_deviations_by_explanation: Floats
+    """Weighted differences (k, T, 3) [m] of the coordinates of T targets from their mean, for each of k possible
+    causes.
 
     The squares of these differences are part of the covariance.
     """
@@ -54,36 +56,35 @@ class AveragedTargets(ValueEquality):
 
 @dataclass(frozen=True)
 class DiagnosisArrays(ValueEquality):
-    """Adjustments and coordinates of a diagnosis."""
+    """Adjustments, target coordinates and arrays of a diagnosis that are not in `diagnosis.json`."""
 
     targets: AveragedTargets
-    """Coordinates of the targets, averaged over the explanations."""
+    """Coordinates of the targets, averaged over the possible causes of the misfit."""
     averaged_minus_refit_reading_change: Floats
-    """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the explanations, minus their change
-    by the refitted model."""
+    """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the possible causes of the misfit,
+    minus their change by the refitted model."""
     variance_factors: Floats
-    """Factors (n, 3) on the declared variances of the readings of n pointings, averaged over the changes of the noise.
-    """
+    """Factors (n, 3) on the declared variances of the readings of n pointings, averaged over the noise hypotheses."""
     baseline_adjustment: Adjustment
-    """Adjustment with the ordinary model, which has no findings."""
+    """Ordinary adjustment, without the findings in its model."""
     final_adjustment: Adjustment
-    """Adjustment with the findings in the model."""
+    """Adjustment with the findings in its model."""
 
 
 class Diagnosis(ResultFile):
-    """`diagnosis.json`: the result of `diagnose`."""
+    """Result of `diagnose`, with the content of `diagnosis.json`."""
 
     FILE: ClassVar[str] = "diagnosis.json"
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
     """Format and version of this file."""
     verdict: str
-    """Verdict: `consistent` or `mismatch`."""
+    """Verdict on the agreement of the recording with the ordinary model: `consistent` or `mismatch`."""
     summary: str
-    """Summary in a few sentences."""
+    """Summary of verdict and findings in a few sentences."""
     global_test: GlobalTest
     """Global test of the agreement of the recording with the ordinary model."""
     findings: tuple[Finding, ...] = ()
-    """Unmodelled causes that explain the readings."""
+    """Unmodelled causes that explain the misfit, the largest decrease of chi-square first."""
     tests: tuple[CauseTest, ...] = ()
     """Tests as in the results of `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: MisfitBeforeAfter | None = None
@@ -93,7 +94,7 @@ class Diagnosis(ResultFile):
     detectable: tuple[DetectableEntry, ...] = ()
     """Smallest detectable sizes of the effects that are detectable in this network."""
     instruments: tuple[InstrumentEntry, ...] = ()
-    """Instrument constants of the ordinary calibration of each instrument."""
+    """Instrument constants of each instrument, estimated in the ordinary calibration."""
     _arrays: DiagnosisArrays | None = PrivateAttr(None)
 
     @classmethod
@@ -112,32 +113,34 @@ class Diagnosis(ResultFile):
 
     @property
     def targets(self) -> AveragedTargets:
-        """Coordinates of the targets with the findings in the model, averaged over the explanations."""
+        """Target coordinates with the findings in the model, averaged over the possible causes of the misfit."""
         return self.arrays.targets
 
     @property
     def baseline_adjustment(self) -> Adjustment:
-        """Adjustment with the ordinary model, which has no findings."""
+        """Ordinary adjustment, without the findings in its model."""
         return self.arrays.baseline_adjustment
 
     @property
     def final_adjustment(self) -> Adjustment:
-        """Adjustment with the findings in the model."""
+        """Adjustment with the findings in its model."""
         return self.arrays.final_adjustment
 
     def _lines(self) -> list[str]:
+        """Lines for a terminal: verdict, summary, and chi-square without and with the findings."""
         lines = [f"Diagnosis: {self.verdict}", self.summary]
         if self.fit is None:
             return lines
         before, after = self.fit.before, self.fit.after
         phrase = f"chi2/dof {before.chi2:.0f}/{before.dof}"
         if self.findings:
-            phrase += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
+            phrase += f", with the findings in the model {after.chi2:.0f}/{after.dof}"
             if None not in (before.held_out_rms, after.held_out_rms) and before.held_out_rms != after.held_out_rms:
-                phrase += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
+                phrase += f"; held-out error {before.held_out_rms:.2f} sigma, then {after.held_out_rms:.2f} sigma"
         return [*lines, phrase]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        """Functions that build the data tables of the diagnosis, by name of the table."""
         return {
             "findings": self._findings_table,
             "targets": self._coordinates_table,
@@ -157,13 +160,14 @@ class Diagnosis(ResultFile):
         return DIAGNOSED_TARGETS_TABLE.with_rows([name, *row] for name, row in named)
 
     def _fit_table(self) -> Table:
+        """Data table of the misfit without and with the findings in the model; without rows if `fit` is None."""
         both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))
         return FIT_TABLE.with_rows(
             [words, f.chi2, f.dof, f.chi2 / f.dof if f.dof > 0 else None, f.held_out_rms] for words, f in both
         )
 
     def _findings_table(self) -> Table:
-        """Data table of findings with one row per parameter; an unknown effect without parameters has one row."""
+        """Data table of the findings with one row per parameter; a finding without parameters has one row."""
         nothing = ParameterEstimate.model_construct(name="", value=math.nan, sigma=math.nan)
         return FINDINGS_TABLE.with_rows(
             [
@@ -178,8 +182,8 @@ class Diagnosis(ResultFile):
     def modelled_reading_change(self, recording: Recording) -> Floats:
         """Change (n, 3) [m, rad, rad] of the readings of n pointings by modelled effects, corrections and outliers.
 
-        Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
-        recording that was diagnosed. The change is 0 for readings without effect, correction or outlier.
+        Effects enter with their posterior mean over sizes and possible causes, as in the coordinates. `recording` is
+        the recording that was diagnosed. The change is 0 for readings without effect, correction or outlier.
         """
         adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
@@ -193,7 +197,7 @@ class Diagnosis(ResultFile):
         return np.nan_to_num(change + corrected)
 
     def modelled_length_change(self, recording: Recording) -> Floats:
-        """Change (g,) [m] that the diagnosis models of the g reference lengths of the recording.
+        """Change (g,) [m] of the g reference lengths of `recording` by the modelled effects.
 
         If the diagnosis rejects a length, the change is the difference of the length from the adjusted distance.
         """
@@ -216,15 +220,18 @@ class Diagnosis(ResultFile):
 
     @property
     def variance_factors(self) -> Floats:
-        """Posterior means (n, 3) of factors on the declared variances of n pointings; 1 if the noise is as declared."""
+        """Posterior means (n, 3) of factors on the declared variances of the readings of n pointings.
+
+        A factor of 1 means that the noise is as declared.
+        """
         return self.arrays.variance_factors
 
     @property
     def n_effect_coefficients(self) -> int:
         """Number of estimated coefficients of all effects that shift readings.
 
-        An empirical law with an estimated ratio of its w components has w - 1 coefficients in addition. If no effect
-        shifts readings, the result is the number of parameters of the findings.
+        An empirical law with an estimated ratio of its w components has w - 1 further coefficients. If no effect shifts
+        readings, the result is the number of parameters of the findings.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(

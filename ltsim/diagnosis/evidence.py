@@ -5,10 +5,10 @@ adjustment estimates. A hypothesis has a design matrix g and coefficients b ~ N(
 diagonal matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model
 without it is log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2. Here d_j are the eigenvalues of L^1/2
 g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is averaged over the size factors t. It is
-also averaged over places, shapes and length scales, which penalises hypotheses with many of them. Changes of the noise
-enter by their restricted likelihood, averaged over a grid of sizes.
+also averaged over places (stations and targets), shape parameters and length scales, which penalises hypotheses with
+many of them. Noise hypotheses enter by their restricted likelihood, averaged over a grid of sizes.
 
-Sizes of arrays below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated
+Sizes of arrays below: m observation equations, h hypotheses, k coefficients, and a number of trials (simulated
 recordings).
 
 References
@@ -40,13 +40,13 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import to_dense
 
 
-def index_of_largest(log_evidences: Floats) -> int:
-    """Index of the largest log evidence; if several values are equal, as on a plateau, their middle index."""
+def index_of_most_evidence(log_evidences: Floats) -> int:
+    """Index of the largest log evidence; the middle index if several values are equal, as on a plateau."""
     ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - NORMAL_EQUATIONS_TOLERANCE)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(log_evidences: Floats, tie_tolerance: float = NORMAL_EQUATIONS_TOLERANCE) -> Ints:
+def indices_by_evidence(log_evidences: Floats, tie_tolerance: float = NORMAL_EQUATIONS_TOLERANCE) -> Ints:
     """Indices in the order of decreasing log evidence; values that differ by up to `tie_tolerance` keep their order."""
     falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")
@@ -63,8 +63,8 @@ def normalised_probabilities(log_probabilities: Floats) -> Floats:
 def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
     """Log evidence (h, trials) of h hypotheses for each simulated recording (trial), computed in single precision.
 
-    `scores` (h, k, trials) are the scores along k eigenvectors of the scaled Gram matrix, `eigenvalues` (h, k) its
-    eigenvalues (d_j in the description of the module).
+    `scores` (h, k, trials) are the products of k scaled design columns with the residuals, along the eigenvectors of
+    the scaled Gram matrix. `eigenvalues` (h, k) are the eigenvalues of this matrix.
     """
     log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1)
@@ -75,9 +75,10 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 
 
 def simulated_log_total_evidence(scores: Floats32, eigenvalues: Floats, log_prior: Floats) -> Floats:
-    """Log (trials,) of the summed evidence of h hypotheses for each simulated recording (trial), with log priors (h,).
+    """Log (trials,) of the summed evidence of h hypotheses for each simulated recording (trial).
 
-    `scores` and `eigenvalues` are as for `simulated_log_evidence`.
+    `log_prior` (h,) are the log prior probabilities of the hypotheses; `scores` and `eigenvalues` are as for
+    `simulated_log_evidence`.
     """
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
     log_total_parts = [
@@ -89,7 +90,10 @@ def simulated_log_total_evidence(scores: Floats32, eigenvalues: Floats, log_prio
 def _simulated_log_evidence_batches(
     scores: Floats | Floats32, eigenvalues: Floats, log_prior: Floats
 ) -> Iterator[Floats32]:
-    """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings)."""
+    """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings).
+
+    `log_prior` (h,) are the log prior probabilities; `scores` and `eigenvalues` are as for `simulated_log_evidence`.
+    """
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = score_weights_and_constants_by_size(eigenvalues[part])
         constants += log_prior[part, None]
@@ -99,7 +103,7 @@ def _simulated_log_evidence_batches(
 
 
 def _log_sum_exp_in_place(log_values: Floats32, axis: int | tuple[int, ...]) -> Floats32:
-    """Log of the sum of exp(log_values) along `axis`. The array `log_values` is overwritten."""
+    """Log of the sum of exp(log_values) along `axis`; the array `log_values` is overwritten."""
     top = log_values.max(axis=axis, keepdims=True)
     np.exp(np.subtract(log_values, top, out=log_values), out=log_values)
     log_total: Floats32 = np.log(log_values.sum(axis=axis)) + top.squeeze(axis)
@@ -109,9 +113,8 @@ def _log_sum_exp_in_place(log_values: Floats32, axis: int | tuple[int, ...]) -> 
 def log_restricted_likelihood_ratio(squared_residuals: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
     """Log restricted likelihood ratio of each reading for a variance of `variance_factor` times the declared one.
 
-    This is the diagonal form, in which the readings are independent. `squared_residuals` are squares of whitened
-    residuals, and `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same
-    factor.
+    The readings are treated as independent (diagonal form). `squared_residuals` are squares of whitened residuals, and
+    `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same factor.
     """
     ratio: Floats = 0.5 * (squared_residuals * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
     return ratio
@@ -141,8 +144,10 @@ def log_evidence_of_wrong_readings(
 
     Parameters
     ----------
+    space : ResidualSpace
+        Residual space of the adjustment.
     residual, redundancy : (m,) float
-        Whitened residuals and redundancy numbers given a model, one for each of the m rows of the residual space.
+        Whitened residuals and redundancy numbers given the effects of a model, one for each of m observation equations.
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
@@ -218,7 +223,7 @@ def coefficient_posterior(
 
 
 def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
-    """The k eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and scaled eigenvectors (..., k, k).
+    """Eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and scaled eigenvectors (..., k, k).
 
     The product of the transposed eigenvectors with a score is the score along each eigenvector.
     """
@@ -227,17 +232,15 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 
 
 MAX_AVERAGED_HYPOTHESES = 12
-"""Number of the most probable hypotheses over which an estimate is averaged; a limit of the computing time."""
+"""Number of the most probable hypotheses over which an estimate is averaged; it limits the computing time."""
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
-"""Number of hypotheses of each kind (catalogue effects, changes of the noise, laws) that are evaluated without
-approximation; a limit of the computing time. The hypotheses with the largest approximate log evidence are evaluated. A
-screening returns the same number of laws for each place.
-"""
-MAX_LOG_EVIDENCE_DEFICIT = 10.0
-"""Largest difference of the approximate log evidence of a hypothesis from the largest value, for which the hypothesis
-is evaluated without approximation. The hypothesis is a local optimum of a catalogue effect over places and shapes, or a
-product of a law and a second factor.
-"""
+"""Number of hypotheses of each kind (catalogue effects, noise hypotheses, empirical laws) whose evidence is computed
+without approximation, to limit the computing time. They are those with the largest approximate log evidence. A
+screening returns the same number of laws for each combination of stations and targets."""
+MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
+"""Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
+computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
+shape parameters), or a product of an empirical law and a second factor."""
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
 estimates, but keeps undetermined combinations finite."""
@@ -246,7 +249,8 @@ estimates, but keeps undetermined combinations finite."""
 def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with a wide prior.
 
-    The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size.
+    The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size. `gram` (k, k) is the Gram matrix
+    of the projected design columns, and `score` (k,) their products with the residuals.
     """
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIGMA_FACTOR]), np.zeros(1))
 
@@ -261,9 +265,10 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
-    """Log marginal likelihood ratio of an effect with k coefficients, from its Gram matrix (k, k) and score (k,).
+    """Log Bayes factor of an effect with k coefficients against no effect, averaged over the sizes of the effect.
 
-    The ratio is relative to no effect, and averaged over the sizes of the effect.
+    `gram` (k, k) is the Gram matrix of its projected design columns, and `score` (k,) their products with the
+    residuals.
     """
     plausible_sizes = effect.plausible_sizes
     if not any(p.is_nonnegative for p in effect.parameters):
@@ -292,23 +297,27 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
     return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR_TO_NOISE_LEVEL), 1.0)
 
 
-MIN_SQUARED_SHIFT_FRACTION = 0.01
-"""Smallest fraction of the sum of squared shifts of readings by an effect that is in an observable on which the effect
-is reported to act."""
-MIN_SQUARED_PROJECTED_SHIFT_FRACTION = 0.1
-"""Smallest fraction of the sum of squared shifts of residuals by an effect that is in an observable on which the effect
-is reported to act. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one
-observable over the other observables."""
+MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE = 0.01
+"""Smallest fraction of the squared shift of all readings by an effect that is in an observable. With a smaller fraction
+the effect is not reported to act on this observable."""
+MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE = 0.1
+"""Smallest fraction of the squared shift of all residuals by an effect that is in an observable. With a smaller
+fraction the effect is not reported to act on this observable. It is larger than
+`MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the adjustment spreads a shift of one observable over the other
+observables."""
 
 
 def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
     """Names of the observables on which an effect acts; empty if it acts on all.
 
-    `is_used_reading` (n, 3) flags the r used readings of n pointings, `shift` (r,) is the whitened shift of these
+    `is_used_reading` (n, 3) flags the r used readings of n pointings. `shift` (r,) is the whitened shift of these
     readings by the effect, and `projected_shift` (r,) its projection onto the residual space.
     """
-    active = (_squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION) & (
-        _squared_shift_fraction_by_observable(is_used_reading, projected_shift) >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION
+    active = (
+        _squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE
+    ) & (
+        _squared_shift_fraction_by_observable(is_used_reading, projected_shift)
+        >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE
     )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
@@ -326,8 +335,7 @@ def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats)
 
 RELATIVE_DISCREPANCY_GRID = np.geomspace(0.05, 1.0, 9)
 """Grid of relative differences between the change of readings by an unmodelled cause and the change by the hypothesis
-that it resembles. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
-"""
+that it resembles. It is log-uniform from 0.05, hardly visible, to 1, a difference as large as the change."""
 
 
 def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
@@ -340,8 +348,10 @@ def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residua
 
     Parameters
     ----------
+    space : ResidualSpace
+        Residual space of the adjustment.
     shift : (m,) float
-        Whitened shift of the m rows of the residual space by the hypothesis.
+        Whitened shift of m observation equations by the hypothesis.
     residual, redundancy : (m,) float
         Whitened residuals with the hypothesis modelled, and their redundancy numbers.
     """

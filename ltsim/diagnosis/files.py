@@ -24,14 +24,16 @@ COMPANION_FILE_NAMES = (
     f"{RECORDING_FOLDER_NAME}/{OBSERVATIONS_FILE}",
     f"{RECORDING_FOLDER_NAME}/{SETUP_FILE}",
 )
+"""Paths, within the folder of a diagnosis, of the files that are written with `diagnosis.json`."""
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
     """Diagnosis with the digests of its companion files, after all files have been written to a folder.
 
     `targets.csv` contains the coordinates adjusted with the findings in the model, and `targets.covariance.csv` their
-    joint covariance with the variance between explanations. `residuals.csv` contains the residuals of this adjustment,
-    and `residuals_before.csv` those of the ordinary adjustment. `recording/` contains the recording, if it is given.
+    joint covariance with the variance between possible causes. `residuals.csv` contains the residuals of this
+    adjustment, and `residuals_before.csv` those of the ordinary adjustment. `recording/` contains the recording, if it
+    is given.
 
     Raises
     ------
@@ -45,7 +47,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     }
     covariance_due_to_air = joint_covariance_due_to_air(diagnosis.final_adjustment)
     covariance = coordinate_covariance_csv_text(
-        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=covariance_due_to_air
+        diagnosis.final_adjustment,
+        diagnosis.targets.weighted_deviations_by_explanation,
+        added_covariance=covariance_due_to_air,
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     if recording is not None:

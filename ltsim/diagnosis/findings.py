@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.global_test import GlobalTestResult
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, probability_and_equivalents
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking, probability_and_equivalents
 from ltsim.diagnosis.prior import P_EVEN_ODDS
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
@@ -48,7 +48,7 @@ from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
 MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
-"""Fraction of the chi-square decrease of a finding that the readings listed in its sentence have together, at least."""
+"""Smallest fraction of the chi-square decrease by a finding that the readings listed in its sentence have together."""
 
 
 @dataclass(frozen=True)
@@ -56,32 +56,36 @@ class SelectedModelFit:
     """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
     selection_state: SelectionState
-    """State of the model selection at its end."""
+    """State of the model selection after its last step: adjustment, noise and search."""
     global_test: GlobalTestResult
     """Result of the global tests of the recording."""
-    model: Model
-    """Selected model of effects."""
+    model: EffectModel
+    """Set of the selected effects."""
     refit: Refit
-    """Nonlinear adjustment with this model."""
+    """Nonlinear adjustment with the selected effects in its model."""
     has_test_findings: bool = False
-    """True if findings of tests, or of the noise, are reported in addition to the effects in the model."""
+    """True if findings of tests, or on the noise, are reported in addition to the selected effects."""
     held_out_log_odds: float = 0.0
-    """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0."""
+    """Log odds of the selected effects against no effect; negative if held-out readings contradict them, otherwise
+    0."""
 
-    def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
-        """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
+    def _ranking_of_alternatives(self, effect_index: int) -> HypothesisRanking:
+        """Ranking of all alternatives to a selected effect, with noise hypotheses and an unmodelled cause.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model = self.selection_state.searcher, self.model
         reduced_model = searcher.model_without(model, effect_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.selection_state.ranked_noise_changes(reduced_model)
+            for value, change in self.selection_state.ranked_noise_hypotheses(reduced_model)
         ]
         effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
-        redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.whitened_design(effect) @ coefficient_means
-        likeness = log_bayes_factor_of_discrepancy(searcher.space, shift, model.residual, redundancy)
+        redundancy = searcher.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
+        shift = searcher.residual_space.whitened_design(effect) @ coefficient_means
+        likeness = log_bayes_factor_of_discrepancy(searcher.residual_space, shift, model.residual, redundancy)
         ranking = searcher.ranking(reduced_model).with_further_hypotheses(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
@@ -101,18 +105,21 @@ class SelectedModelFit:
         return p_same + P_EVEN_ODDS * ranking.p_unmodelled_cause
 
     @cached_property
-    def rankings_of_alternatives(self) -> list[Ranking]:
-        """Ranking of all alternatives to each effect in the model, one per effect."""
+    def rankings_of_alternatives(self) -> list[HypothesisRanking]:
+        """Rankings of the alternatives to each selected effect, one ranking per effect."""
         return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def p_same_scope(self) -> list[float]:
-        """Probability, for each effect in the model, that the cause is an effect of any name with the same scope."""
+        """Probabilities, one per selected effect, that the cause is an effect of any name with the same scope.
+
+        The scope is the observables, stations, targets and covariates of the effect.
+        """
         return [self._p_same_scope_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
-        """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
+        """Decrease of the m squared whitened residuals by each selected effect, given the other effects."""
         reduced_models = (
             self.selection_state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses))
         )
@@ -120,7 +127,7 @@ class SelectedModelFit:
 
     @cached_property
     def unreported_effect_keys(self) -> tuple[str, ...]:
-        """Keys (`Hypothesis.key`) of the effects in the model that are too improbable to be reported.
+        """Keys (`Hypothesis.effect_key`) of the selected effects that are too improbable to be reported.
 
         The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
         is certain that there is a cause.
@@ -134,13 +141,13 @@ class SelectedModelFit:
             )
             for i in range(len(hypotheses))
         ]
-        return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
+        return tuple(hypothesis.effect_key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
     def p_real(self, effect_index: int) -> float:
-        """Probability that an effect in the model is real under any name, and not the result of several wrong readings.
+        """Probability that a selected effect is real under any name, and not the result of several wrong readings.
 
-        It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
-        the observable, nor the form of the effect is determined.
+        `effect_index` is its index in the model. The probability is 0 if neither a size nor the decrease of chi-square
+        is significant. It is also 0 if neither place, nor observable, nor form of the effect is determined.
         """
         effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
@@ -156,30 +163,39 @@ class SelectedModelFit:
         return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
     def p_cause_other_than_wrong_readings(self, effect_index: int) -> float:
-        """Probability that an effect in the model has any cause other than several wrong readings."""
+        """Probability that a selected effect has any cause other than several wrong readings.
+
+        `effect_index` is the index of the effect in the model.
+        """
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
             1.0 - self._p_wrong_readings(effect_index)
         )
 
     def _p_wrong_readings(self, effect_index: int) -> float:
-        """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
+        """Probability that several wrong readings, each with a separate error, are the cause of a selected effect.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model = self.selection_state.searcher, self.model
         other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
-        redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
+        redundancy = searcher.residual_space.redundancy - np.sum(other_model.projected_basis**2, axis=1)
         prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
-        rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
+        rival = log_evidence_of_wrong_readings(searcher.residual_space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
     def finding_of_effect(self, effect_index: int) -> Finding:
-        """Finding that reports an effect in the model, given the other effects in the model."""
+        """Finding that reports a selected effect, given the other selected effects.
+
+        `effect_index` is the index of the effect in the model.
+        """
         searcher, model, ranking = (
             self.selection_state.searcher,
             self.model,
             self.rankings_of_alternatives[effect_index],
         )
-        space, others = searcher.space, searcher.model_without(model, effect_index)
+        space, others = searcher.residual_space, searcher.model_without(model, effect_index)
         hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = (
@@ -230,7 +246,7 @@ class SelectedModelFit:
             parameters=estimates,
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
-                parameters=model.basis.shape[1] - others.basis.shape[1],
+                parameters=model.projected_basis.shape[1] - others.projected_basis.shape[1],
                 p_value=self.global_test.p_value_of(ranking.total_log_evidence),
                 probability=probability,
                 p_same_scope=p_same_scope,
@@ -241,11 +257,11 @@ class SelectedModelFit:
         ).with_values(**further_values)
 
     def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
-        """Sentence on the readings that have most of the decrease of chi-square; empty for many readings.
+        """Sentence that lists the few readings with most of the chi-square decrease; empty if these are many.
 
-        `chi2_decreases` (m,) is the decrease in each of the m rows of the residual space.
+        `chi2_decreases` (m,) is the decrease in each of the m observation equations.
         """
-        use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
+        use, recording = self.selection_state.searcher.residual_space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), SQRT_MACHINE_EPSILON)
@@ -267,11 +283,13 @@ class SelectedModelFit:
         """Sum of the probabilities of all hypotheses with the scope (observables, place, covariates) of an effect.
 
         `effect_index` is the index of the effect in the model. All effects that act on the same targets count as having
-        the same scope, because a target that moved, is badly seated or was read wrongly changes the same readings.
+        the same scope. The reason is that a target that moved, is badly seated or was read wrongly changes the same
+        readings.
         """
         effect = self.model.hypotheses[effect_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
+            """Scope of a candidate, which is compared with the scope of the effect."""
             scope = self._scope(candidate)
             if scope.targets and not isinstance(effect, EmpiricalLaw):
                 return FindingScope(targets=scope.targets)
@@ -283,13 +301,14 @@ class SelectedModelFit:
         )
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
-        """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
+        """Scope of an effect: its observables, stations, targets or instrument, and covariates.
 
-        `default_observables` are named if the effect does not restrict its observables.
+        An effect at all set-ups of one of several instruments has the instrument in place of the stations.
+        `default_observables` are the observables of an effect that does not restrict them.
         """
         scope = effect_scope(effect, default_observables)
         for tracker in instrument_places(
-            self.selection_state.searcher.space.sightings, self.selection_state.recording.instruments
+            self.selection_state.searcher.residual_space.sightings, self.selection_state.recording.instruments
         ):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, ChainErrorEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
@@ -303,8 +322,8 @@ class SelectedModelFit:
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
-            return f" The set-up declares that this constant is zero with a standard deviation of {sigmas}."
-        implausible = " This size is hardly plausible for this cause: check other causes too."
+            return f" The set-up declares that this instrument constant is zero with a standard deviation of {sigmas}."
+        implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
@@ -329,11 +348,12 @@ class SelectedModelFit:
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of_effect(
-        self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
+        self, effect_index: int, hypothesis: Hypothesis, reduced_model: EffectModel
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.
+        """Estimates of the sizes and shape parameters of a selected effect.
 
-        `reduced_model` is the model without the effect.
+        Without a clock, times are numbers of pointings. `effect_index` is the index of the effect, `hypothesis` the
+        effect after the refit, and `reduced_model` the model without the effect.
         """
         refitted = [
             ParameterEstimate.from_si(*estimate)
@@ -351,9 +371,9 @@ class SelectedModelFit:
 
 
 def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
-    """Description of a law, such as ``distance correction follows cos(3 azimuth)``.
+    """Description of an empirical law, such as ``distance correction follows cos(3 azimuth)``.
 
-    `regressor_phrase` is the text form of its regressor.
+    `regressor_phrase` is the text of the function of covariates that the law follows, such as ``cos(3 azimuth)``.
     """
     phrase = f"{law.response.name} correction" if law.response.changed_part == "reading" else law.response.name
     suffix = law_suffix(law)

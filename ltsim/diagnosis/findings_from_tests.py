@@ -8,7 +8,7 @@ from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.hypotheses import probability_and_equivalents
-from ltsim.diagnosis.instruments import ConstantContradiction
+from ltsim.diagnosis.instruments import InstrumentConstantContradiction
 from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import scope_with_names
@@ -18,7 +18,7 @@ from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "reference coordinates"
-"""Name for users of the wrong quantity, in a finding on a point whose declared coordinates define the axes."""
+"""Name for users of the wrong quantity in a finding on a point: the declared coordinates that define the axes."""
 
 
 def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
@@ -43,7 +43,10 @@ def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
 
 
 def axes_point_finding(test: ReferenceTest) -> Finding:
-    """Finding that reports a point whose declared coordinates contradict the axes that the other points define."""
+    """Finding that reports a point whose declared coordinates contradict the axes that the other points define.
+
+    `test` is the test of these coordinates.
+    """
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
@@ -63,7 +66,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
     )
 
 
-def contradicting_constant_finding(contradiction: ConstantContradiction) -> Finding:
+def contradicting_instrument_constant_finding(contradiction: InstrumentConstantContradiction) -> Finding:
     """Finding that reports an instrument constant that contradicts its reference.
 
     The reference is the other instruments, earlier calibrations, or a declared correction.
@@ -82,7 +85,9 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
         parameter_text(other.name) for other in contradiction.evidence_share_by_constant if other != p
     )
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
-    ambiguity = f" These readings hardly distinguish this constant from {rival_names}." if rival_names else ""
+    ambiguity = (
+        f" These readings hardly distinguish this instrument constant from {rival_names}." if rival_names else ""
+    )
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.reference_text}, "
@@ -129,11 +134,11 @@ EFFECT_NAME_BY_CAUSE = {
     ("height", "position"): "outlier",
 }
 """Name of the catalogue effect as which the cause of a test is reported, by the kind of the cause and the quantity on
-which it acts. Other outliers are reported as `outlier`, and all other causes as `unknown`."""
+which it acts. An outlier with another key is reported as `outlier`, and any other cause as `unknown`."""
 
 
 def cause_test_finding(test: CauseTest) -> Finding:
-    """Finding that reports the cause that a test accepted."""
+    """Finding that reports the selected cause of a test of the adjustment, such as a moved target."""
     name = "outlier" if test.kind == "outlier" else EFFECT_NAME_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     estimates: tuple[ParameterEstimate, ...] = ()

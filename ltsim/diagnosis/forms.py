@@ -1,4 +1,4 @@
-"""Functional forms of a law: curve, formulas, steps and ramps, common to all set-ups or separate for each.
+"""Functional forms of an empirical law: curve, formula, steps and ramps, common to all set-ups or separate for each.
 
 The screening evaluates each law in one form only. The few laws with the largest evidence are evaluated here in all
 forms, without approximation.
@@ -13,12 +13,17 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.component_ratios import best_component_ratio
-from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_most_evidence, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_CHANGED_PART, PRIOR_WEIGHT_BY_FORM
+from ltsim.diagnosis.prior import (
+    P_EVEN_ODDS,
+    P_RARE_LAW_FORM,
+    P_SINGLE_SET_UP_BY_CHANGED_PART,
+    PRIOR_WEIGHT_BY_LAW_FORM,
+)
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.switches import (
     MAX_PIECES_OF_LAW,
@@ -33,14 +38,14 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor of a group of targets that moves and tilts as a rigid body."""
+"""Regressor (function of the coordinates) for a group of targets that moves and tilts as a rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
-"""Difference of log evidence up to which a law at all set-ups counts as equivalent to the same law at one set-up. The
-poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
+"""Difference of log evidence up to which an empirical law at all set-ups counts as equivalent to the law at one set-up.
+The poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
 
 
-def min_promising_evidence(best_evidence: float) -> float:
-    """Log evidence in the screening, above which a law is evaluated in all forms.
+def min_log_evidence_for_forms(best_evidence: float) -> float:
+    """Log evidence in the screening, above which an empirical law is evaluated in all functional forms.
 
     It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
     evidence.
@@ -48,45 +53,46 @@ def min_promising_evidence(best_evidence: float) -> float:
     return 0.5 * best_evidence - 5.0
 
 
-def evaluate_forms(
+def evaluate_law_forms(
     calculator: EvidenceCalculator,
     law: EmpiricalLaw,
     log_prior: float,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     *,
     with_steps_and_switches: bool,
 ) -> list[Hypothesis]:
-    """Forms of a law: for each name of an effect, the form with the largest evidence among those with this name.
+    """Hypotheses for the functional forms of an empirical law: the best form for each effect name.
 
-    The evidence of a result is the sum over all forms with its name. `log_prior` is the log prior of the law. Steps,
-    ramps and switches are tried only if `with_steps_and_switches`.
+    A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
+    sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
+    `conditioning_model` are estimated in addition. Steps, ramps and switches are tried if `with_steps_and_switches`.
     """
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     hypotheses = (
-        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), conditioning_model)
+        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_LAW_FORM)), conditioning_model)
         if with_steps_and_switches
         else []
     )
-    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
+    base_evidence += float(np.log(1.0 - P_RARE_LAW_FORM)) if hypotheses else 0.0
     permanent_law, share = (
         law.without_time_limit(),
-        float(np.log(P_RARE_FORM * n_tried_waves_of_same_covariate(law, sightings))),
+        float(np.log(P_RARE_LAW_FORM * n_tried_waves_of_same_covariate(law, sightings))),
     )
     switch_hypotheses = (
         switched_forms(calculator, permanent_law, base_evidence + share, conditioning_model)
         if with_steps_and_switches
         else []
     )
-    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if switch_hypotheses else 0.0
+    base_evidence += float(np.log(1.0 - P_RARE_LAW_FORM)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.with_coefficients_per_setup(sightings)
     hypotheses += _functional_forms(
-        calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), conditioning_model
+        calculator, law, base_evidence + (np.log(1.0 - P_RARE_LAW_FORM) if setup_laws else 0.0), conditioning_model
     )
     hypotheses += (
-        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_FORM), conditioning_model)
+        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_LAW_FORM), conditioning_model)
         if setup_laws
         else []
     )
@@ -113,18 +119,21 @@ def evaluate_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the form with the largest log evidence."""
-    return index_of_largest(np.array([form.log_evidence for form in forms]))
+    """Index of the hypothesis in `forms` with the largest log evidence."""
+    return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """Forms of a law as a curve, a formula, a piecewise function or a product, with the log evidence of each."""
-    forms = law.candidate_forms_by_kind(calculator.space.sightings)
-    weight_sum = sum(PRIOR_WEIGHT_BY_FORM[kind] for kind in forms)
+    """Forms of an empirical law as a curve, a formula, a piecewise function or a product, each with its log evidence.
+
+    `log_prior` is the log prior probability of the law. The effects of `conditioning_model` are estimated in addition.
+    """
+    forms = law.candidate_forms_by_kind(calculator.residual_space.sightings)
+    weight_sum = sum(PRIOR_WEIGHT_BY_LAW_FORM[kind] for kind in forms)
     shares = {
-        kind: log_prior + float(np.log(PRIOR_WEIGHT_BY_FORM[kind] / weight_sum / len(sets)))
+        kind: log_prior + float(np.log(PRIOR_WEIGHT_BY_LAW_FORM[kind] / weight_sum / len(sets)))
         for kind, sets in forms.items()
     }
     form_scales = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
@@ -137,12 +146,18 @@ def _functional_forms(
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.plausible_sizes for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
-        candidates.append((share, scales[index_of_largest(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
+        candidates.append((share, scales[index_of_most_evidence(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, equivalent_effect_name(best)) for share, best, value in candidates]
 
 
-def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
-    """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
+def _forms_with_ratio(
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
+) -> list[Hypothesis]:
+    """List of a form of an empirical law, and possibly of the form with a fixed ratio of its components.
+
+    The second form is tried if each component has several coefficients. The effects of `conditioning_model` are
+    estimated in addition.
+    """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.n_setup_components == 1 or law.regressor.n_columns == 1 or law.component_ratio:
@@ -163,13 +178,14 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
 
 
 def _forms_at_single_set_ups(
-    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a form of a law at all set-ups, and of the same form at single set-ups.
+    """List of a form of an empirical law at all set-ups, and of the same form at single set-ups.
 
-    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up.
+    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up. The effects
+    of `conditioning_model` are estimated in addition.
     """
-    law, stations = form.effect, calculator.space.sightings.station_names
+    law, stations = form.effect, calculator.residual_space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
         return [form]
@@ -190,9 +206,9 @@ def _forms_at_single_set_ups(
         for driver in drivers
         for name in stations
     ]
-    n_pointings = [law.pointing_indicator(calculator.space.sightings).sum() for law in laws]
+    n_pointings = [law.pointing_indicator(calculator.residual_space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP_BY_CHANGED_PART.get(law.response.changed_part, P_RARE_FORM)
+    share = P_SINGLE_SET_UP_BY_CHANGED_PART.get(law.response.changed_part, P_RARE_LAW_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     hypotheses = [
@@ -214,13 +230,14 @@ def _forms_at_single_set_ups(
 
 
 def _piecewise_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of one form of a law as a sum of steps and ramps, from a forward selection while the evidence increases.
+    """List of one form of an empirical law as a sum of steps and ramps, which are added while the evidence increases.
 
-    The list is empty for a law without a curve, and for a law of a single target.
+    The list is empty for a law without a curve, and for a law of a single target. `log_prior` is the log prior
+    probability of the form. The effects of `conditioning_model` are estimated in addition.
     """
-    atoms = law.candidate_steps_and_ramps(calculator.space.sightings)
+    atoms = law.candidate_steps_and_ramps(calculator.residual_space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
         return []
     full_law = law.with_steps_and_ramps(atoms)
@@ -240,7 +257,7 @@ def _piecewise_forms(
         values[remaining] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
-        atom_indices.append(index_of_largest(values))
+        atom_indices.append(index_of_most_evidence(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * log_price
         if value > best + NORMAL_EQUATIONS_TOLERANCE:
             best, n_selected = value, len(atom_indices)
@@ -255,18 +272,18 @@ def _piecewise_forms(
     ]
 
 
-N_CURVE_POINTS = 61
-"""Number of points of a reported curve, except for waves with many cycles."""
-N_POINTS_PER_CYCLE = 16
-"""Number of points of each cycle of a wave in a reported curve."""
-MAX_CURVE_POINTS = 600
+N_REPORTED_CURVE_POINTS = 61
+"""Number of points of a reported curve, except for a wave with many cycles."""
+N_CURVE_POINTS_PER_CYCLE = 16
+"""Number of points per cycle of a wave in a reported curve."""
+MAX_REPORTED_CURVE_POINTS = 600
 """Largest number of points of a reported curve."""
 
 
 def response_curve(
     law: EmpiricalLaw, sightings: Sightings, coefficient_mean: Floats, coefficient_covariance: Floats
 ) -> ResponseCurve | None:
-    """Curve of a law over its covariate, at the set-up and in the direction in which its effect is largest.
+    """Curve of an empirical law over its covariate, at the set-up and in the direction with the largest effect.
 
     The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
     the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI].
@@ -279,11 +296,15 @@ def response_curve(
     x = sightings.covariate_values[regressor.covariates[0]][law.pointing_indicator(sightings) > 0]
     if regressor.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * regressor.constant / (2 * np.pi)
-        at = np.linspace(x.min(), x.max(), int(np.clip(N_POINTS_PER_CYCLE * cycles, N_CURVE_POINTS, MAX_CURVE_POINTS)))
+        at = np.linspace(
+            x.min(),
+            x.max(),
+            int(np.clip(N_CURVE_POINTS_PER_CYCLE * cycles, N_REPORTED_CURVE_POINTS, MAX_REPORTED_CURVE_POINTS)),
+        )
         columns = fourier_columns(regressor.constant * at, regressor.n_columns // 2)
     else:
         order = np.argsort(x, kind="stable")
-        chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
+        chosen = order[np.unique(np.linspace(0, len(order) - 1, N_REPORTED_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.pointing_indicator(sightings) > 0][chosen]
     unit, factor = law.response.display_unit_and_factor_on_coefficient(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, coefficient_covariance, columns), 0.0))

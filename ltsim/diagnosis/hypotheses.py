@@ -1,4 +1,4 @@
-"""Hypotheses, models (sets of hypotheses), and rankings_of_alternatives of hypotheses given a model."""
+"""Hypotheses, models (sets of hypotheses), and rankings of hypotheses given a model."""
 
 from __future__ import annotations
 
@@ -14,30 +14,29 @@ from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED
 from ltsim.calibration.evidence import LOG_PRIOR_OF_EFFECT_SIZES, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest
+from ltsim.diagnosis.evidence import index_of_most_evidence
 from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
 from ltsim.diagnosis.schema import EquivalentEffect
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 
-MAX_LISTED_EQUIVALENTS = 3
-"""Largest number of equivalent effects, which cannot be excluded, that a finding lists."""
+MAX_LISTED_EQUIVALENT_EFFECTS = 3
+"""Largest number of equivalent effects (effects that cannot be excluded as the cause) that a finding lists."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Hypothesis: possible cause of a misfit, an effect at one place with one shape.
+    """Hypothesis: possible cause of a misfit, an effect at given stations and targets with given shape parameters.
 
-    The place is the stations and targets where the effect acts, the shape the values of its shape constants.
+    Shape parameters enter the readings nonlinearly (period, time constant, onset time).
     """
 
     effect: CandidateEffect
-    """Effect of the catalogue, or empirical law, with its place and shape."""
+    """Catalogue effect or empirical law, with the stations and targets where it acts and with its shape parameters."""
     log_prior: float
-    """Log prior probability of the effect at this place with this shape."""
+    """Log prior probability of the effect at these stations and targets with these shape parameters."""
     log_evidence: float
-    """Log evidence, including the prior, given the model for which the hypothesis was evaluated, averaged over
-    neighbouring shapes."""
+    """Log evidence with prior, averaged over similar shape parameters, given the model for which it was computed."""
     name: str
     """Name of the effect in the catalogue, or `unknown`."""
 
@@ -48,42 +47,42 @@ class Hypothesis:
 
     @property
     def is_catalogued(self) -> bool:
-        """True if the hypothesis is an effect of the catalogue."""
+        """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue."""
         return self.name != "unknown"
 
     @property
-    def key(self) -> str:
-        """Text that identifies the effect with its place and shape."""
+    def effect_key(self) -> str:
+        """Text that identifies the effect with its stations, targets and shape parameters."""
         return repr(self.effect)
 
 
 @dataclass(frozen=True)
-class Model:
-    """Model: a set of hypotheses that are true at the same time; its basis and residuals are computed on demand."""
+class EffectModel:
+    """Model: a set of hypotheses that are true at the same time, with the residuals after their estimation."""
 
     hypotheses: tuple[Hypothesis, ...]
-    """Hypotheses of the model."""
+    """Hypotheses of the model, one per effect."""
     projected_designs: tuple[Floats, ...]
     """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
     design_column_norms: tuple[Floats, ...]
-    """Norms (k,) of the k design columns of each effect before the projection."""
+    """Norms (k,) of the k design columns of each effect before the projection onto the residual space."""
     baseline_residual: Floats = field(repr=False)
-    """The m whitened residuals (m,) of the adjustment without the effects of the model."""
+    """Whitened residuals (m,) of m observation equations in the adjustment without the effects of the model."""
 
     @classmethod
-    def from_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> Model:
-        """Model with the given hypotheses in a residual space."""
+    def from_residual_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> EffectModel:
+        """Model with the given hypotheses in the residual space `space` of an adjustment."""
         designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
         return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.whitened_residuals)
 
     @property
     def effects(self) -> list[CandidateEffect]:
-        """Effects in the model."""
+        """Effects of the hypotheses in the model."""
         return [h.effect for h in self.hypotheses]
 
     @cached_property
-    def basis(self) -> Floats:
+    def projected_basis(self) -> Floats:
         """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
         if not self.hypotheses:
             return np.zeros((len(self.baseline_residual), 0))
@@ -91,13 +90,18 @@ class Model:
 
     @cached_property
     def residual(self) -> Floats:
-        """The m whitened residuals (m,) of the adjustment with all effects of the model."""
-        residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
+        """Whitened residuals (m,) of m observation equations in the adjustment with all effects of the model."""
+        residual: Floats = self.baseline_residual - self.projected_basis @ (
+            self.projected_basis.T @ self.baseline_residual
+        )
         return residual
 
     @cached_property
     def gram_and_score(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of all k projected columns, and their products (k,) with residuals of the empty model."""
+        """Gram matrix (k, k) of the k projected design columns of all effects, and their products (k,) with residuals.
+
+        The residuals are those of the adjustment without effects.
+        """
         projected_design = np.hstack(self.projected_designs)
         return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
 
@@ -105,7 +109,7 @@ class Model:
     def discrepancy_penalty(self) -> float:
         """Additional log evidence required of a further effect, because the form of an empirical law is imperfect.
 
-        It is 0 for a model with effects of the catalogue only.
+        It is 0 for a model with catalogue effects only.
         """
         if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
@@ -116,7 +120,7 @@ class Model:
         is_visible = eigenvalues > NORMAL_EQUATIONS_TOLERANCE
         return (
             0.5
-            * RELATIVE_MODEL_ERROR
+            * RELATIVE_ERROR_OF_LAW_FORM
             * float(np.sum((eigenvectors.T @ (unit * score))[is_visible] ** 2 / eigenvalues[is_visible]))
         )
 
@@ -135,30 +139,28 @@ class Model:
         return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds - penalty
 
 
-RELATIVE_MODEL_ERROR = 0.05
+RELATIVE_ERROR_OF_LAW_FORM = 0.05
 """Fraction of the chi-square decrease by an empirical law that the decrease by a further effect must exceed. The form
-of a law is an approximation, and a second effect could otherwise describe the error of this form.
-"""
+of a law is an approximation, and a second effect could otherwise describe the error of this form."""
 
 
 @dataclass(frozen=True)
-class Ranking:
-    """Ranking of hypotheses given a model, in the order of decreasing evidence."""
+class HypothesisRanking:
+    """Ranking of the hypotheses that may be added to a model, in the order of decreasing evidence."""
 
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses in the order of decreasing log evidence."""
     total_log_evidence: float
     """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
     log_evidence_of_unmodelled_cause: float = -np.inf
-    """Log evidence of a cause that is no hypothesis of the ranking."""
+    """Log evidence of a cause that is no hypothesis of the ranking; minus infinity if it is not considered."""
     log_evidence_of_no_cause: float = 0.0
-    """Log evidence of no cause, neither a hypothesis of the ranking nor an unmodelled cause that resembles one. It is
-    0, or larger if held-out readings contradict the model."""
+    """Log evidence of the absence of any cause. It is 0, or larger if held-out readings contradict the model."""
 
     def most_probable_of_each_kind(self) -> list[Hypothesis]:
-        """Hypothesis with the largest evidence of each catalogue effect, and of the laws of each response.
+        """Hypotheses with the largest evidence: one of each catalogue effect, and one law of each response.
 
-        They are in the order of the ranking.
+        The response is the quantity that an empirical law changes. The order is that of the ranking.
         """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:
@@ -167,14 +169,17 @@ class Ranking:
             )
         return list(first.values())
 
-    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> Ranking:
-        """Copy of the ranking that also contains the hypotheses `rivals`."""
+    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> HypothesisRanking:
+        """Copy of the ranking that also contains the hypotheses `rivals`, which explain the same residuals."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))
-        return Ranking(tuple(hypotheses), log_total)
+        return HypothesisRanking(tuple(hypotheses), log_total)
 
-    def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
-        """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
+    def with_unmodelled_cause(self, log_bayes_factor: float) -> HypothesisRanking:
+        """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis.
+
+        An unmodelled cause is no hypothesis of the ranking, but resembles its first hypothesis.
+        """
         return replace(
             self,
             log_evidence_of_unmodelled_cause=self.total_log_evidence
@@ -182,10 +187,10 @@ class Ranking:
             + float(np.log(P_UNMODELLED_CAUSE / (1.0 - P_UNMODELLED_CAUSE))),
         )
 
-    def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
-        """Copy of the ranking whose causes together have at most the odds that held-out readings give to the model.
+    def with_held_out_evidence(self, log_odds_of_model: float) -> HypothesisRanking:
+        """Copy of the ranking in which all causes together have at most the odds of the model by held-out readings.
 
-        `log_odds_of_model` are the log odds of the model against no effect, 0 if held-out readings do not contradict
+        `log_odds_of_model` are the log odds of the model against no effect; 0 if held-out readings do not contradict
         the model.
         """
         if log_odds_of_model >= 0.0:
@@ -217,7 +222,7 @@ class Ranking:
 
     @cached_property
     def p_unmodelled_cause(self) -> float:
-        """Posterior probability of an unmodelled cause."""
+        """Posterior probability of a cause that is no hypothesis of the ranking."""
         return float(np.exp(self.log_evidence_of_unmodelled_cause - self._log_evidence_sum))
 
     def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
@@ -263,11 +268,11 @@ def probability_and_equivalents(
         if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
     return probabilities.get(name, 0.0), tuple(
-        sorted(equivalents, key=lambda other: -other.probability)[:MAX_LISTED_EQUIVALENTS]
+        sorted(equivalents, key=lambda other: -other.probability)[:MAX_LISTED_EQUIVALENT_EFFECTS]
     )
 
 
-def _size_averaged_log_evidence(model: Model) -> float:
+def _size_averaged_log_evidence(model: EffectModel) -> float:
     """Log evidence of a model, averaged over the size factors t of its effects.
 
     The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. The sum
@@ -298,7 +303,7 @@ def _size_averaged_log_evidence(model: Model) -> float:
             tried = np.tile(best, (len(RELATIVE_EFFECT_SIZES), 1))
             tried[:, i] = every
             values = log_evidence_at_sizes(tried)
-            best[i] = index_of_largest(values)
+            best[i] = index_of_most_evidence(values)
             neighbours[i] = every[values > values.max() - MIN_LOG_EVIDENCE_CERTAIN]
     return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 
@@ -310,9 +315,10 @@ def _plausible_sizes_and_effect_indices(hypotheses: Sequence[Hypothesis]) -> tup
 
 
 def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_hypotheses: Sequence[Hypothesis]) -> float:
-    """Log prior odds of a second effect with the name of another effect in the model, which rarely occurs twice.
+    """Log prior odds of a second effect with the same name as another effect of the model, which is rare.
 
-    `other_hypotheses` are the other effects in the model. The result is 0 for all other hypotheses.
+    `other_hypotheses` are the other effects in the model. The result is 0 if none of them has the name of `hypothesis`,
+    or if the effect often occurs twice.
     """
     if hypothesis.name not in {h.name for h in other_hypotheses}:
         return 0.0

@@ -35,18 +35,19 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
+CHANGED_INSTRUMENT_CONSTANT_VARIANCE = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
-CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
+INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
+"""Name for users of the reference of an instrument constant, by whether the set-up declares it corrected."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of all instruments of a recording, with their constants and determined combinations of these."""
+    """Entries of all instruments of a recording, with instrument constants and their determined combinations."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
 def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
+    """Entry of one instrument of a recording, with its constants and their determined combinations."""
     parameters = adjustment.construction.parameters
     constants = adjustment.state.instrument_parameters[instrument_index]
     covariance = adjustment.instrument_covariance_of(instrument_index)
@@ -65,34 +66,33 @@ def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> Instrume
 
 
 @dataclass(frozen=True)
-class ConstantContradiction:
+class InstrumentConstantContradiction:
     """Contradiction between an instrument constant, of one or more instruments, and its reference."""
 
     instruments: tuple[str, ...]
-    """Names of the instruments with this constant."""
+    """Names of the instruments whose constant contradicts its reference."""
     parameter: Parameter
-    """Constant that contradicts its reference."""
+    """Instrument constant that contradicts its reference."""
     difference_from_reference: float
-    """Difference [SI] of the constant from its reference: from the other instruments, from zero for a corrected
-    instrument, or from earlier calibrations."""
+    """Difference [SI] of the constant from that of the other instruments, zero (if corrected) or earlier
+    calibrations."""
     sigma: float
     """Standard deviation [SI] of the difference."""
     log_evidence: float
     """Log marginal likelihood ratio of the change, with its prior odds, given the other contradictions."""
     p_value: float
-    """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
+    """Two-sided p-value of the difference, corrected for the number of instrument constants that are compared."""
     reference_text: str
     """Name of the reference for users, such as `the other instruments`."""
     evidence_share_by_constant: Mapping[Parameter, float]
-    """Fractions of the evidence for this constant, and for constants of the same instruments that may have changed
-    instead."""
+    """Fractions of the evidence for this constant and others of the same instruments that may have changed instead."""
 
 
 @dataclass(frozen=True)
-class ContradictingConstants:
-    """Constants of a recording's instruments that contradict their reference."""
+class ContradictingInstrumentConstants:
+    """Contradictions between the instrument constants of a recording and their references."""
 
-    contradictions: tuple[ConstantContradiction, ...] = ()
+    contradictions: tuple[InstrumentConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
     log_evidence_of_all_contradictions: float = 0.0
     """Log evidence, with prior odds, of all contradictions together; 0 without contradictions.
@@ -102,39 +102,39 @@ class ContradictingConstants:
 
 
 @dataclass(frozen=True)
-class ConstantChange:
-    """Possible change of a constant of one instrument, or of several instruments by the same amount."""
+class InstrumentConstantChange:
+    """Possible change of an instrument constant of one instrument, or of several instruments by the same amount."""
 
     instrument_indices: tuple[int, ...]
     """Indices of the instruments whose constant may have changed."""
     constant_index: int
-    """Index of the constant among the p constants of an instrument."""
+    """Index of the changed constant among the p constants of an instrument."""
     reference_text: str
-    """Name for users of the reference with which the constant is compared."""
+    """Name for users of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
-    """Possible variances (s values) in addition to the expected variance, divided by the squared specification."""
+    """Possible variances (s values) in addition to the expected variance, in units of the squared specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms of the prior weights of the s values of `added_variance_grid`."""
 
 
 @dataclass(frozen=True)
-class ExpectedConstants:
+class ExpectedInstrumentConstants:
     """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
 
     mean: Floats
     """Expected values (I p,) of the p constants of I instruments, divided by their specifications."""
     covariance: Floats
     """Covariance (I p, I p) of the p constants of I instruments about `mean`, in units of their specifications."""
-    possible_changes: tuple[ConstantChange, ...]
+    possible_changes: tuple[InstrumentConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
 
-def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
+def find_contradicting_instrument_constants(adjustment: Adjustment) -> ContradictingInstrumentConstants:
     """Instrument constants that differ from those of other instruments, or from zero for a corrected instrument.
 
-    If two instruments differ, the readings do not show which instrument is in error. An error of the constant that is
-    farther from zero is then the more probable. An offset common to all corrected instruments is one change, possibly
-    of their reference. A contradiction has a log evidence of more than `MIN_EFFECT_LOG_EVIDENCE`.
+    If two instruments differ, the readings do not show which one is in error. An error of the constant that is farther
+    from zero is then the more probable. An offset common to all corrected instruments is one change, possibly of their
+    reference. A contradiction has a log evidence of more than `MIN_EFFECT_LOG_EVIDENCE`.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -151,24 +151,24 @@ def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
     owners = [(i,) for i in np.flatnonzero(is_corrected | is_compared).tolist()] + (
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
-    reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
+    reference_texts = {group: INSTRUMENT_CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
     possible_changes = tuple(
-        ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
+        InstrumentConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
     )
-    return constants_contradicting_expectation(
-        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes)
+    return instrument_constants_contradicting_expectation(
+        adjustment, ExpectedInstrumentConstants(np.zeros(unit.size), covariance, possible_changes)
     )
 
 
-def constants_contradicting_expectation(
-    adjustment: Adjustment, expectation: ExpectedConstants
-) -> ContradictingConstants:
-    """Instrument constants that differ from their expectation, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
+def instrument_constants_contradicting_expectation(
+    adjustment: Adjustment, expectation: ExpectedInstrumentConstants
+) -> ContradictingInstrumentConstants:
+    """Instrument constants that differ from `expectation`, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
 
     The evidence of each is given the other selected constants. The constants are selected by forward selection with
-    exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO`. The readings
-    without the prior of the adjustment give the normal equations N x = b of the constants x. With the expectation
-    x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
+    exchange, in which a selected constant has a prior variance of `CHANGED_INSTRUMENT_CONSTANT_VARIANCE`.
+    The readings alone give the normal equations N x = b of the constants x. With the expectation x ~ N(m, V), the
+    information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -184,12 +184,12 @@ def constants_contradicting_expectation(
     change_directions = change_directions.reshape(len(change_directions), unit.size)
 
     def log_evidences_given(other_changes: Collection[int]) -> Floats:
-        """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
+        """Log evidence (changes,) of each possible change, given the changes with the indices `other_changes`."""
         given_changes = change_directions[list(other_changes)]
         score, weight = change_score_and_information(
             likelihood.information_matrix,
             score_vector,
-            expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO * given_changes.T @ given_changes,
+            expectation.covariance + CHANGED_INSTRUMENT_CONSTANT_VARIANCE * given_changes.T @ given_changes,
         )
         information_of_change, score_along = (
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
@@ -220,7 +220,7 @@ def constants_contradicting_expectation(
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_EQUATIONS_TOLERANCE:
             contradictions.append(k)
     if not contradictions:
-        return ContradictingConstants()
+        return ContradictingInstrumentConstants()
     changed = [
         np.log(share)
         + log_marginal_likelihood(
@@ -240,34 +240,34 @@ def constants_contradicting_expectation(
     ]
     p_values = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     entries = (
-        _contradiction_of_change(
+        _instrument_constant_contradiction(
             adjustment, expectation.possible_changes, odds_by_change[k], k, *map(float, (g * u, s * u, c))
         )
         for k, g, s, c, u in zip(contradictions, gap, sigma, p_values, units, strict=True)
     )
-    return ContradictingConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
+    return ContradictingInstrumentConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
 
 
-def _contradiction_of_change(
+def _instrument_constant_contradiction(
     adjustment: Adjustment,
-    constant_changes: Sequence[ConstantChange],
+    constant_changes: Sequence[InstrumentConstantChange],
     log_evidences: Floats,
     change_index: int,
     difference: float,
     sigma: float,
     p_value: float,
-) -> ConstantContradiction:
+) -> InstrumentConstantContradiction:
     """Contradiction for the change with the index `change_index`, with the alternatives to this change.
 
     `log_evidences` are the log evidences of all changes, `difference` and `sigma` the difference from the reference and
-    its standard deviation [SI].
+    its standard deviation [SI], and `p_value` its p-value.
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
     alternative_indices = [
         i for i, other in enumerate(constant_changes) if other.instrument_indices == change.instrument_indices
     ]
     share = normalised_probabilities(log_evidences[alternative_indices])
-    return ConstantContradiction(
+    return InstrumentConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
         parameter=parameters[change.constant_index],
         difference_from_reference=difference,
@@ -286,7 +286,7 @@ def _contradiction_of_change(
 def _log_evidence_of_change(
     difference: float, variances: Floats | float, log_variance_weights: Floats | float
 ) -> float:
-    """Log evidence of a change from its estimate `difference`, averaged over s variances with their log weights."""
+    """Log evidence of a changed constant from its `difference`, averaged over s variances with their log weights."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
     log_unchanged = log_variance_weights - 0.5 * (difference**2 / variances + np.log(variances))
     log_changed = log_unchanged + log_evidence(((difference / variances) ** 2)[:, None], 1.0 / variances[:, None])
@@ -294,29 +294,29 @@ def _log_evidence_of_change(
 
 
 TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the true variance of a constant between calibrations, divided by the sample variance of a few
-calibrations."""
+"""Grid of the true variance of an instrument constant between calibrations, divided by that of a few calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
-"""Degrees of freedom that the sample variances of all constants add to that of one constant (Smyth 2004). They
-correspond to standard deviations that mostly agree within a factor of two."""
+"""Degrees of freedom that the sample variances of all instrument constants add to that of one (Smyth 2004). They are
+those of standard deviations that mostly agree within a factor of two."""
 
 
 @dataclass(frozen=True)
-class HistoryExpectation:
-    """Expected constants of a recording's instruments, from earlier calibrations."""
+class ExpectationFromEarlierCalibrations:
+    """Expected instrument constants of a recording, from earlier calibrations."""
 
     earlier_calibration_prior: EarlierCalibrationPrior
     """Earlier calibrations of the same instruments."""
     expected_constants: ParameterPrior
-    """Mean and covariance of the constants [SI]; the covariance includes their scatter between calibrations."""
+    """Mean and covariance of the instrument constants [SI]; the covariance includes their scatter between
+    calibrations."""
     manufacturer_specification: Floats
     """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of computations."""
 
     @classmethod
     def from_calibrations(
         cls, calibrations: EarlierCalibrationPrior, recording: Recording, construction: GeometricErrorModel
-    ) -> HistoryExpectation:
-        """Expected constants of the instruments of a recording, from earlier calibrations.
+    ) -> ExpectationFromEarlierCalibrations:
+        """Expected instrument constants of a recording, from earlier calibrations.
 
         Raises RecordError for calibrations of other instruments or with another geometric error model.
         """
@@ -331,13 +331,13 @@ class HistoryExpectation:
             calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
         )
 
-    def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
-        """Instrument constants that changed after the earlier calibrations, with log evidences above the limit."""
+    def find_contradicting_instrument_constants(self, adjustment: Adjustment) -> ContradictingInstrumentConstants:
+        """Instrument constants that changed after the earlier calibrations, with sufficient log evidence."""
         parameters, unit = adjustment.construction.parameters, self.manufacturer_specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibration_prior.parameters]
         names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected_constants.covariance, unit, strict=True)]
-        possible_changes: list[ConstantChange] = []
+        possible_changes: list[InstrumentConstantChange] = []
         for i, block in enumerate(covariance):
             spreads = zip(
                 *self._additional_variances_and_log_weights(
@@ -346,13 +346,13 @@ class HistoryExpectation:
                 strict=True,
             )
             possible_changes += [
-                ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
+                InstrumentConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
                 for k, s in zip(parameter_indices, spreads, strict=True)
             ]
         expected_means = (self.expected_constants.mean / unit).ravel()
-        return constants_contradicting_expectation(
+        return instrument_constants_contradicting_expectation(
             adjustment,
-            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
+            ExpectedInstrumentConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
         )
 
     def _additional_variances_and_log_weights(
@@ -360,11 +360,11 @@ class HistoryExpectation:
     ) -> tuple[Floats, Floats]:
         """Possible variances (k, s) of k constants in addition to the expected ones, and their s log weights (k, s).
 
-        The sample variance of a few calibrations is uncertain. It has a scaled chi-square distribution, with one degree
-        of freedom less than the number of calibrations. The sample variances of the other constants add
-        `SAMPLE_VARIANCE_PRIOR_DOF` degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No
-        standard deviation exceeds the specification of the manufacturer. `expected_covariance` (k, k) is the expected
-        covariance, `specification` (k,) [SI] the specification, and `constant_names` are the names of the constants.
+        The sample variance of a few calibrations has a scaled chi-square distribution, with one degree of freedom less
+        than the number of calibrations. The sample variances of the other constants add `SAMPLE_VARIANCE_PRIOR_DOF`
+        degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No standard deviation exceeds the
+        specification of the manufacturer. `expected_covariance` (k, k) is the expected covariance, `specification` (k,)
+        [SI] the specification, and `constant_names` are the names of the constants.
         """
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
@@ -386,12 +386,12 @@ class HistoryExpectation:
         return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
     def _sigmas_between_calibrations(self, constant_names: Sequence[str]) -> Floats:
-        """Standard deviations (k,) [SI] of k constants between the earlier calibrations."""
+        """Standard deviations (k,) [SI] of k instrument constants between the earlier calibrations."""
         indices = [self.earlier_calibration_prior.parameters.index(name) for name in constant_names]
         return self.earlier_calibration_prior.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Name for users of the earlier calibrations with which a constant is compared."""
+        """Name for users of the earlier calibrations with which an instrument constant is compared."""
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return "its calibration"

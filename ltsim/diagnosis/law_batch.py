@@ -1,11 +1,12 @@
 """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places, scored together.
 
-A place is the stations, targets or instruments at which a law acts. The score of a response with a regressor at a place
-is the sum over the pointings of the place of (derivative of the response) x (column of the regressor) x (residual).
-Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for all laws.
+A place is the stations, targets or instruments where a law acts. The score of a response with a regressor at a place is
+a sum over the pointings of the place. Its terms are (derivative of the response) x (column of the regressor) x
+(residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for
+all laws.
 
-Sizes of arrays below: n pointings, P places, C responses with c components each, D regressors with k columns each, of
-which d are processed at a time, and v vectors of the null ensemble.
+Sizes of arrays below: n pointings, P places, C responses with c components each, and D regressors with k columns each,
+of which d are processed at a time. The null ensemble (residuals and simulated residuals) has v vectors.
 """
 
 from __future__ import annotations
@@ -30,45 +31,46 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of entries (64 MB) of regressor columns that stay in memory. The limit applies to the columns that
-several batches share during a screening, and to the columns of all batches between screenings. Computing them again
-takes a sixth of the time of a screening.
-"""
+"""Largest number of elements (64 MB) of design columns of regressors that stay in memory. The limit applies to the
+columns that several batches share during a screening, and to those of all batches between screenings. To compute them
+again takes a sixth of the time of a screening."""
 
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """Law of a screening, with an approximate log evidence."""
+    """Screened empirical law: changed quantity, function of covariates, place, and approximate log evidence."""
 
     response: Response
-    """Quantity that the law changes."""
+    """Quantity that the empirical law changes, such as the vertical index."""
     regressor: Regressor
-    """Function of covariates on which the response depends."""
+    """Function of covariates that the change of the quantity follows, such as a curve over time."""
     place: LawPlace
-    """Stations, targets or instruments at which the law acts."""
+    """Stations, targets or instruments where the empirical law acts."""
     log_evidence: float
-    """Approximate log evidence, including the log prior."""
+    """Approximate log evidence of the empirical law, including its log prior probability."""
     log_prior: float
-    """Log prior of the law at this place."""
+    """Log prior probability of the empirical law at these stations, targets or instruments."""
 
 
 @dataclass(frozen=True)
 class PointingPartition:
-    """Partition of the pointings into cells of pointings that belong to the same places.
+    """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
-    A sum over the pointings of a place is a sum over the cells of the place.
+    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place.
     """
 
     pointing_order: Ints
-    """Indices (n,) of the n pointings, cell after cell."""
+    """Indices (n,) of the n pointings, sorted by cell (pointings of the same places)."""
     cell_edges: Ints
-    """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
+    """Limits (cells + 1,) in `pointing_order` of the cells (pointings of the same places): starts, and end of the
+    last."""
     is_cell_in_place: sp.csr_array
-    """Indicators (P, cells) of the cells that belong to each of P places."""
+    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places (stations, targets or
+    instruments)."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
-        """Partition of `n_pointings` pointings by the places to which they belong."""
+        """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws."""
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
@@ -78,7 +80,7 @@ class PointingPartition:
         return cls(pointing_order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def pointing_batches(self, n_entries_per_pointing: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Batches of pointings for temporary arrays with `n_entries_per_pointing` entries per pointing.
+        """Batches of pointings for temporary arrays with `n_entries_per_pointing` elements per pointing.
 
         Each batch is a tuple: its slice of `pointing_order`, the indices of its pointings, and for each of its cells
         the index of the cell and its slice in the batch.
@@ -90,12 +92,15 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over the pointings of each of P places, from the sums `cell_sums` (cells, ...) over cells."""
+        """Sums (P, ...) over the pointings of each of P places (stations, targets or instruments).
+
+        `cell_sums` (cells, ...) are the sums over the cells (pointings of the same places).
+        """
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
 class RegressorColumns:
-    """Design-matrix columns of regressors with k columns each at all pointings, computed on first use.
+    """Design columns of regressors (functions of covariates) at all pointings, k columns each, computed on first use.
 
     Several batches share them. They stay in memory until they are released, or always if `is_cached`.
     """
@@ -114,7 +119,7 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """The k columns (n, d k) of each of d regressors in a range, for n pointings in the order of the cells."""
+        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings sorted by cell."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
@@ -123,11 +128,12 @@ class RegressorColumns:
         return self._all_columns[:, regressor_range.start * n_columns : regressor_range.stop * n_columns]
 
     def release_memory(self) -> None:
-        """Removal of the columns from memory, unless they are always cached."""
+        """Removal of the design columns from memory, unless they are always cached."""
         if not self.is_cached:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Floats32:
+        """Columns (n, d k) of d regressors with k columns each, for n pointings in the order of the cells."""
         n_columns = regressors[0].n_columns
         columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
@@ -140,39 +146,45 @@ class RegressorColumns:
 class LawBatch:
     """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places.
 
-    The responses are of one kind. The regressors have the same number of columns and of length scales.
+    A regressor is a function of covariates that the change follows; a place is the stations, targets or instruments
+    where it acts. The responses are of one kind. The regressors have the same number of columns and of length scales.
     """
 
     responses: tuple[Response, ...]
-    """The C responses, with c components each."""
+    """Quantities (C responses with c components each) that the empirical laws change."""
     regressors: tuple[Regressor, ...]
-    """The D regressors, with k columns each."""
+    """Functions of covariates (D regressors with k columns each) that the empirical laws follow."""
     places: tuple[LawPlace, ...]
-    """The P places: stations, targets or instruments at which a law acts."""
-    partition: PointingPartition
-    """Partition of the pointings by these places."""
+    """Stations, targets or instruments where the empirical laws act, P places."""
+    pointing_partition: PointingPartition
+    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
-    C responses."""
+    C responses (changed quantities)."""
     regressor_columns: RegressorColumns
-    """Columns of the regressors, which batches with the same regressors and cells share."""
+    """Design columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
-    """Log prior (P,) of a single law (response, regressor and length scale) at each of P places."""
+    """Log prior probability (P,) of a single empirical law at each of P places (stations, targets or instruments)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
+    """Eigen decompositions of scaled Gram matrices, by the first index of their range of regressors."""
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior sigmas (D, c k) of D regressors for k columns and c components, one array per length scale."""
+        """Prior standard deviations (D, c k) of the coefficients of D regressors, one array per length scale.
+
+        A regressor is a function of covariates with k columns; each response (changed quantity) has c components.
+        """
         n_components = self.whitened_response_designs.shape[3]
         return [
             np.tile(np.stack(sets), n_components)
             for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
         ]
 
-    def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and its null values.
+    def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
+        """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
-        The null values (trials,) are the same log for each simulated recording (trial) of the null ensemble.
+        A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
+        summed evidence for each simulated recording (trial) of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -195,12 +207,13 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d), with priors, of laws at P places with C responses and d regressors, and null values.
+        """Log evidence (P, C, d), with priors, of empirical laws, and their log summed evidence in simulations.
 
-        The regressors are those of a range. The null values (trials,) are logs of the summed evidence of these laws for
-        each simulated recording (trial). The Gram matrix of a law is not reduced by the effects in the model, so that
-        it is too large for a law that is correlated with them. The laws with the largest evidence are evaluated again
-        without this approximation.
+        There are C responses (changed quantities) and d regressors (functions of covariates that they follow, those in
+        `regressor_range`), at P places (stations or targets). The second result (trials,) belongs to the simulated
+        recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is therefore too
+        large for a law that is correlated with them. The laws with the largest evidence are evaluated again without
+        this approximation.
         """
         columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -225,7 +238,7 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
-        """Eigen decompositions of the Gram matrices of laws, scaled by the prior sigmas of their coefficients.
+        """Eigen decompositions of Gram matrices of empirical laws, scaled by prior sigmas of their coefficients.
 
         The list runs over the length scales of the smooth functions of a regressor, each with its own prior sigmas. An
         entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
@@ -241,17 +254,18 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Floats32) -> Floats32:
-        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at P places.
+        """Products (P, C, d, c k, v) of the design matrices of empirical laws with v vectors of the null ensemble.
 
-        The laws have C responses with c components. `columns` (n, d k) are the k columns of each of d regressors at n
-        pointings.
+        The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
         cell_sums = np.zeros(
-            (len(self.partition.cell_edges) - 1, columns.shape[1], count * n_components * vectors), dtype=np.float32
+            (len(self.pointing_partition.cell_edges) - 1, columns.shape[1], count * n_components * vectors),
+            dtype=np.float32,
         )
-        for part, rows, cells in self.partition.pointing_batches(count * n_components * vectors):
+        for part, rows, cells in self.pointing_partition.pointing_batches(count * n_components * vectors):
             whitened_response_designs = self.whitened_response_designs[rows].reshape(len(rows), 3, -1)
             moved = (np.swapaxes(whitened_response_designs, 1, 2) @ null_ensemble.vectors_of_pointings(rows)).reshape(
                 len(rows), -1
@@ -259,21 +273,24 @@ class LawBatch:
             transposed_columns = columns[part].T
             for cell, at in cells:
                 cell_sums[cell] += transposed_columns[:, at] @ moved[at]
-        products = self.partition.sums_over_places(cell_sums).reshape(
+        products = self.pointing_partition.sums_over_places(cell_sums).reshape(
             len(self.places), d, -1, count, n_components, vectors
         )
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of laws at P places with C responses of c components.
+        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before their projection.
 
-        `columns` (n, d k) are the k columns of each of d regressors at n pointings.
+        The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * n_components * n_components, d * k * k))
-        for part, rows, cells in self.partition.pointing_batches(d * k * k):
+        cell_sums = np.zeros(
+            (len(self.pointing_partition.cell_edges) - 1, count * n_components * n_components, d * k * k)
+        )
+        for part, rows, cells in self.pointing_partition.pointing_batches(d * k * k):
             blocks, whitened_response_designs = (
                 columns[part].reshape(len(rows), d, k),
                 self.whitened_response_designs[rows],
@@ -286,7 +303,7 @@ class LawBatch:
             )
             for cell, at in cells:
                 cell_sums[cell] += response_products[:, at] @ pairs[at]
-        grams = self.partition.sums_over_places(cell_sums).reshape(
+        grams = self.pointing_partition.sums_over_places(cell_sums).reshape(
             len(self.places), count, n_components, n_components, d, k, k
         )
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, n_components * k, n_components * k)
@@ -295,12 +312,15 @@ class LawBatch:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Result of `LawBatch.best_laws_and_log_totals` for each batch, in order; shared columns are computed once."""
+    """Results of `LawBatch.best_laws_and_log_total_evidence` for all batches, in order.
+
+    Columns that several batches share are computed once.
+    """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):
         by_columns.setdefault(id(batch.regressor_columns), []).append(i)
     scores = {}
     for members in by_columns.values():
-        scores.update({i: law_batches[i].best_laws_and_log_totals(null_ensemble) for i in members})
+        scores.update({i: law_batches[i].best_laws_and_log_total_evidence(null_ensemble) for i in members})
         law_batches[members[0]].regressor_columns.release_memory()
     return [scores[i] for i in range(len(law_batches))]

@@ -1,4 +1,4 @@
-"""Products of a law with a second factor: distance, elevation, height, or a region of the hall.
+"""Products of an empirical law with a second factor: distance, elevation, height, or a region of the hall.
 
 An error can be proportional to the distance, or act only on some lines of sight. A law that acts equally on all lines
 of sight already explains about half of such an error. The second factor is therefore tried only for the law with the
@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT, index_of_largest
+from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION, index_of_most_evidence
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.switches import switched_forms
 from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.columns import N_PRODUCT_CURVE_MODES
@@ -28,15 +28,15 @@ from ltsim.physics.laws.regressors import (
 from ltsim.scene.regions import candidate_regions
 
 SECOND_FACTOR_COVARIATES = ("distance", "elevation", "height")
-"""Covariates to which the effect of a law may also be proportional (second factor)."""
+"""Covariates to which the change by an empirical law may be proportional in addition (second factor)."""
 SECOND_FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
-"""Shapes of the regions of the hall to which a law may be confined, as the axes along which they are bounded."""
+"""Shapes of the regions of the hall to which an empirical law may be confined, given by the bounded axes."""
 MAX_COEFFICIENTS_WITH_SECOND_FACTOR = 2
-"""Largest number of coefficients of a law for which a second factor is tried; a wave has two."""
+"""Largest number of coefficients of an empirical law for which a second factor is tried; a wave has two."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
-    """True for a law of one observable in the whole network that depends on one covariate, with few coefficients."""
+    """True for an empirical law of one observable in the whole network with one covariate and few coefficients."""
     if law.response.changed_part != "reading" or law.response.component_units or law.stations or law.targets:
         return False
     regressor = law.regressor
@@ -45,17 +45,19 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
 
 
 def _is_of_time(regressor: Regressor) -> bool:
-    """True for a regressor that is a function of time, such as a switch."""
+    """True for a regressor (function of covariates) that is a function of time, such as a switch."""
     return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
-def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
-    """List with the product of a law of readings and the second factor with the largest evidence, after a local search.
+def product_forms(
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
+) -> list[Hypothesis]:
+    """List with the best product of an empirical law of readings and a second factor, after a local search.
 
     `form` is the law. The list is empty if no product has nearly the evidence of the law. For a switch it also contains
-    other forms of the product.
+    other forms of the product. The effects of `conditioning_model` are estimated in addition.
     """
-    law, sightings = form.effect, calculator.space.sightings
+    law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)
     weights = [
         scalar_regressor(name, "power")
@@ -70,9 +72,9 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
         return []
     laws = [_law_product(law, weight) for weight in weights]
     log_evidences = calculator.log_evidence(laws, conditioning_model)
-    top = index_of_largest(log_evidences)
+    top = index_of_most_evidence(log_evidences)
     prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
-    if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT:
+    if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION:
         return []
     refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
     products = [Hypothesis(refined, prior, value + prior, equivalent_effect_name(refined))]
@@ -89,6 +91,6 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
 
 
 def _law_product(law: EmpiricalLaw, second_factor: Regressor) -> EmpiricalLaw:
-    """Product of a law with the regressor `second_factor`; a region of the hall becomes the first factor."""
+    """Product of an empirical law with the function `second_factor`; a region of the hall becomes the first factor."""
     factors = (second_factor, law.regressor) if second_factor.region is not None else (law.regressor, second_factor)
     return replace(law, regressor=Regressor("product", factors=factors), length_scale_index=0)

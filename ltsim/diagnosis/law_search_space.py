@@ -2,7 +2,7 @@
 
 The response is the quantity that the law changes, such as the vertical index. The regressor is a function of
 covariates, such as a curve over time, on which the response depends. The place is the stations, targets or instruments
-at which the law acts.
+where the law acts.
 
 The prior odds of a law are the product of the odds of its place, its response and its regressor. The odds of a kind of
 place are divided equally among all places of this kind in the recording, and likewise for responses and regressors. The
@@ -18,7 +18,12 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
-from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
+from ltsim.diagnosis.prior import (
+    PRIOR_PROBABILITY_BY_CAUSE_KIND,
+    PRIOR_PROBABILITY_BY_PLACE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
+)
 from ltsim.physics.laws.columns import N_CURVE_MODES, N_PRODUCT_CURVE_MODES
 from ltsim.physics.laws.places import (
     LawPlace,
@@ -42,31 +47,30 @@ from ltsim.physics.laws.regressor_library import (
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
-MAX_SEPARATE_PLACES = 400
-"""Number of set-ups, or of targets, up to which laws that act at a single set-up, or a single target, are tried; a
-limit of the computing time."""
+MAX_SEPARATE_SETUPS_OR_TARGETS = 400
+"""Largest number of set-ups (or targets) with which empirical laws at single set-ups (or targets) are tried. The limit
+keeps the computing time short."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
-"""Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
-group, and more targets take too much computing time."""
+"""Numbers of targets in a network with which empirical laws at a group of targets are tried. Fewer targets hardly form
+a group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_CURVE_MODES` basis
 functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_PRODUCT_CURVE_MODES`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
-adjustment absorbs about half of the information of the pointings.
-"""
+"""Smallest number of pointings per coefficient, at the stations and targets of an empirical law, for which the law is
+tried. The adjustment absorbs about half of the information of the pointings."""
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
-"""Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
+"""Kinds of regressors (functions of covariates) that are tried for an empirical law of one instrument or one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
-"""Kinds of regressors that depend on a region of the hall."""
+"""Kinds of regressors (functions of covariates) that depend on a region of the hall."""
 CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
     "room": ("target",)
 }
-"""Changed parts of responses with which a kind of regressor is combined; other regressors are combined with all. The
-omitted combinations would be many, and hardly physical.
-"""
+"""Kinds of changed quantities (`Response.changed_part`) that are combined with a kind of regressor; any other kind of
+regressor is combined with all. The omitted combinations would be many, and hardly physical."""
 WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
+"""Covariates of the waves that are tried for changed quantities that are no readings: times, and accumulated rotations
+of the axes."""
 MULTI_OBSERVABLE_REGRESSOR_KINDS = (
     "constant",
     "sign",
@@ -79,18 +83,19 @@ MULTI_OBSERVABLE_REGRESSOR_KINDS = (
     "passage",
     "lever",
 )
-"""Kinds of regressors for laws that change several observables together; other kinds have too many coefficients."""
+"""Kinds of regressors (functions of covariates) for empirical laws that change several observables together. Other
+kinds have too many coefficients."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
-"""Regressors by kind, such as `curve` or `wave`."""
+"""Regressors (functions of covariates) by kind, such as `curve` or `wave`."""
 
 
 def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) -> list[LawBatch]:
-    """Batches of laws that a search tries in a recording.
+    """Batches of the empirical laws that a search tries in a recording.
 
     Their prior probabilities add up to the prior probability of a law outside the catalogue. Changes of instrument
     constants that are the same for all readings are included if `tests_ordinary_constants`. They are left out if the
-    constants are compared with earlier calibrations. A constant displacement of a target is not included, because the
-    coordinates of targets are estimated.
+    instrument constants are compared with earlier calibrations. A constant displacement of a target is not included,
+    because the coordinates of targets are estimated.
     """
     builder = _LawBatchBuilder(space)
     for place, places, regressors in _places_and_regressors_by_kind(space):
@@ -102,9 +107,9 @@ def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) 
 
 
 def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
-    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind for these places.
+    """Kinds of places of empirical laws: tuples of name, places, and regressors by kind for these places.
 
-    A place is the stations, targets or instruments at which a law acts.
+    A place is the stations, targets or instruments where a law acts; a regressor is a function of covariates.
     """
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
@@ -158,12 +163,12 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
 
 
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of stations or targets at which separate laws are tried; empty for one name, and for too many names."""
-    return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
+    """Names of stations or targets at which separate empirical laws are tried; empty for one name or too many names."""
+    return names if 1 < len(names) <= MAX_SEPARATE_SETUPS_OR_TARGETS else ()
 
 
 class _LawBatchBuilder:
-    """Builder of batches of laws; laws that differ only in the place where they act are in the same batch."""
+    """Builder of batches of empirical laws; laws that differ only in the place where they act are in the same batch."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
@@ -186,12 +191,17 @@ class _LawBatchBuilder:
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Addition of the laws at places of one kind, with all admissible responses and regressors.
+        """Addition of the empirical laws at places of one kind, with all admissible responses and regressors.
 
-        `place_kind` is a key of `PLACE_PRIOR`. Responses of the kinds `excluded_kinds` are not combined with the
-        constant regressor.
+        A response is a changed quantity, a regressor a function of covariates. `place_kind` is a key of
+        `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses of the kinds `excluded_kinds` are not combined with the constant
+        regressor.
         """
-        kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
+        kinds = (
+            PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS
+            if place_kind in ("target", "group")
+            else PRIOR_PROBABILITY_BY_RESPONSE_KIND
+        )
         for (kind, n_components), kind_responses in self._responses.items():
             n_joint_observables = len(
                 kind_responses[0][0].component_units
@@ -219,7 +229,9 @@ class _LawBatchBuilder:
                     and (name != "wave" or _is_wave_tried_for(kind, d))
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
-                weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
+                weight = (
+                    PRIOR_PROBABILITY_BY_PLACE_KIND[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
+                )
                 self._register_laws_with_prior_weight(
                     tuple(c for c, _ in kind_responses if _may_change_in_region(name, c)),
                     admissible_regressors,
@@ -236,10 +248,10 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Registration of laws with the prior `weight` per response, divided equally among regressors and places.
+        """Registration of empirical laws with the prior `weight` per response, divided among regressors and places.
 
-        `n_components` is the number of components of the responses. Places with too few pointings for the coefficients
-        of a regressor are left out.
+        A response is a changed quantity with `n_components` components, a regressor a function of covariates. Places
+        (stations or targets) with too few pointings for the coefficients of a regressor are left out.
         """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for regressor in regressors if responses else ():
@@ -254,9 +266,10 @@ class _LawBatchBuilder:
                 self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / n_laws))
 
     def law_batches(self) -> list[LawBatch]:
-        """Batches of the registered laws.
+        """Batches of the registered empirical laws.
 
-        A batch contains all combinations of its responses and regressors at all its places.
+        A batch contains all combinations of its responses (changed quantities) and regressors (functions of covariates)
+        at all its places (stations, targets or instruments).
         """
         weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
@@ -289,7 +302,7 @@ class _LawBatchBuilder:
                     cells[same],
                     stacked[responses],
                     columns[key],
-                    np.log(CAUSE_PRIOR["law"] * share),
+                    np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"] * share),
                 )
             )
         n_entries = sum(
@@ -301,28 +314,29 @@ class _LawBatchBuilder:
 
 
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
-    """True if a law may change the `response` with a regressor of this kind; always for regressors without a region.
+    """True if an empirical law with a regressor of this kind may change the quantity `response`.
 
-    A range changes in proportion to the length of the path in the region (`passage`), and an angle in proportion to
-    this length weighted by its lever (`lever`).
+    It is always true for regressors without a region. A range changes in proportion to the length of the path in the
+    region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`).
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
 
 
 def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
-    """True if a search tries a wave for responses with this `Response.changed_part`.
+    """True if an empirical law that changes this part of the system (`Response.changed_part`) may follow a wave.
 
-    All waves are tried for readings, and waves in `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for other responses.
+    A wave is a periodic function of a covariate. All waves are tried for readings, and waves of
+    `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for other changed parts.
     """
     return changed_part == "reading" or wave.covariates[0] in WAVE_COVARIATES_FOR_NON_READING_RESPONSES
 
 
 def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
-    """Copy of a response whose plausible size is raised to the noise of the readings if it is smaller.
+    """Copy of a response whose plausible size is at least as large as the noise of the readings.
 
-    `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each of the c
-    components.
+    The response is the quantity that an empirical law changes. `whitened_changes` (n, 3, c) are the whitened changes of
+    the three readings of n pointings per unit of each of its c components.
     """
     change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

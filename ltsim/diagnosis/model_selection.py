@@ -1,4 +1,4 @@
-"""Selection of the model of a recording: effects, changes of the noise, and changed constants of instruments."""
+"""Selection of the model of a recording: effects, noise hypotheses, and changed instrument constants."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,29 +8,30 @@ import numpy as np
 from ltsim.adjustment import Adjustment
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED_HYPOTHESES
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
-from ltsim.diagnosis.instruments import ContradictingConstants
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, most_probable_name, probability_and_equivalents
+from ltsim.diagnosis.instruments import ContradictingInstrumentConstants
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
-MAX_NOISE_CHANGES = 3
-"""Largest number of changes of the noise that are added to a model; a selection of effects follows each of them."""
-ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
+MAX_NOISE_HYPOTHESES = 3
+"""Largest number of noise hypotheses that are added to a model; a selection of effects follows each of them."""
+InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstrumentConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
 
 def select_noise_and_effects(
-    state: SelectionState, compare_with_reference: ConstantComparisonFunction
-) -> tuple[SelectionState, Model]:
-    """State with the selected changes of the noise and of instrument constants, and the selected model of effects.
+    state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction
+) -> tuple[SelectionState, EffectModel]:
+    """State of the selection after the choice of noise hypotheses and changed instrument constants, and the effects.
 
     The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
-    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters, because a law that is selected with a wrong noise level
-    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated with the
-    effects in the model that are among the simple causes of the network.
+    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters: an empirical law that is selected with a wrong noise
+    level absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together
+    with the effects among the simple causes of the network. `compare_with_reference` returns the instrument constants
+    that contradict their reference in an adjustment.
     """
-    noise = state.ranked_noise_changes(state.empty_model)[0][0]
+    noise = state.ranked_noise_hypotheses(state.empty_model)[0][0]
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
     if noise >= shifts:
         identified = state.searcher.catalogue_designs.hypotheses_of_effects(
@@ -41,10 +42,10 @@ def select_noise_and_effects(
             shifts - start_model.penalised_log_evidence,
             state.searcher.ranking(start_model).total_log_evidence,
         )
-        state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
+        state, model = _select_effects_given_noise(_select_noise_hypotheses(state, rival, identified), identified)
     else:
         model = state.searcher.select_effects(requires_effect=True)
-    contradicting_constants = compare_with_reference(state.space.adjustment)
+    contradicting_constants = compare_with_reference(state.residual_space.adjustment)
     constants = contradicting_constants.contradictions
     if (
         constants
@@ -56,33 +57,34 @@ def select_noise_and_effects(
     return _alternate_noise_and_effects(state, model)
 
 
-def _select_noise_changes(
+def _select_noise_hypotheses(
     state: SelectionState,
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> SelectionState:
-    """State after a forward selection of changes of the noise.
+    """State of the model selection after a forward selection of noise hypotheses.
 
-    The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
-    because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
-    alternatives to it. Each further change must increase the log evidence by `MIN_EFFECT_LOG_EVIDENCE`.
+    The noise is estimated with the effects of `start_hypotheses` in the model. The first noise hypothesis is always
+    selected, because the global test has failed. Its alternatives include the effects, with the log evidence
+    `log_evidence_of_effects`. Each further noise hypothesis must increase the log evidence by
+    `MIN_EFFECT_LOG_EVIDENCE`.
     """
     effects = [hypothesis.effect for hypothesis in start_hypotheses]
-    for further in range(MAX_NOISE_CHANGES):
-        ranked = state.ranked_noise_changes(Model.from_space(start_hypotheses, state.space))
+    for further in range(MAX_NOISE_HYPOTHESES):
+        ranked = state.ranked_noise_hypotheses(EffectModel.from_residual_space(start_hypotheses, state.residual_space))
         if further and ranked[0][0] < MIN_EFFECT_LOG_EVIDENCE:
             break
-        most_probable = _most_probable_noise_change(ranked, 0.0 if further else log_evidence_of_effects)
-        state = state.with_noise_change(most_probable, effects)
+        most_probable = _most_probable_noise_hypothesis(ranked, 0.0 if further else log_evidence_of_effects)
+        state = state.with_noise_hypothesis(most_probable, effects)
     return state
 
 
 def _select_effects_given_noise(
     state: SelectionState, start_hypotheses: Sequence[Hypothesis]
-) -> tuple[SelectionState, Model]:
-    """State and model of effects in addition to the selected changes of the noise.
+) -> tuple[SelectionState, EffectModel]:
+    """State of the selection, and model, after a selection of effects in addition to the noise hypotheses.
 
-    If the changes of the noise suffice, the state is unchanged and the model empty. The search begins with the
+    If the noise hypotheses suffice, the state is unchanged and the model has no effects. The search begins with the
     hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
     noise is therefore estimated again with each of the hypotheses with the largest evidence. The most probable of them,
     with its noise, is compared with the noise alone by their evidence.
@@ -101,17 +103,17 @@ def _select_effects_given_noise(
     return (with_effects, model) if model.hypotheses and is_supported else (state, state.empty_model)
 
 
-def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[SelectionState, Model]:
-    """State and model after alternating selections of changes of the noise and of effects, while evidence increases.
+def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> tuple[SelectionState, EffectModel]:
+    """State of the selection, and model, after alternating selections of noise hypotheses and of effects.
 
-    Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
-    of all effects.
+    They alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in place of one
+    of the effects in the model, and in place of all effects.
     """
-    for _ in range(MAX_NOISE_CHANGES):
+    for _ in range(MAX_NOISE_HYPOTHESES):
         searcher, hypotheses = state.searcher, model.hypotheses
         bases = [model, *(searcher.model_without(model, i) for i in range(len(hypotheses)))]
         bases += [searcher.empty_model] if len(hypotheses) > 1 else []
-        ranked = [state.ranked_noise_changes(base) for base in bases]
+        ranked = [state.ranked_noise_hypotheses(base) for base in bases]
         least = MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
         rest = [
             min(searcher.ranking(model).total_log_evidence, least),
@@ -124,28 +126,28 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
         ]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
-        if gains[most] < (least if not most and (state.noise_changes or hypotheses) else 0.0):
+        if gains[most] < (least if not most and (state.selected_noise_hypotheses or hypotheses) else 0.0):
             break
-        likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
-        state = state.with_noise_change(likeliest_noise, bases[most].effects)
+        likeliest_noise = _most_probable_noise_hypothesis(ranked[most], rest[most])
+        state = state.with_noise_hypothesis(likeliest_noise, bases[most].effects)
         model = state.searcher.select_effects(requires_effect=False)
     return state, model
 
 
-def _most_probable_noise_change(
-    ranked_noise_changes: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
+def _most_probable_noise_hypothesis(
+    ranked_noise_hypotheses: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
 ) -> NoiseHypothesis:
-    """Most probable change of the noise, with its probability among all hypotheses.
+    """Most probable noise hypothesis, with its probability among all hypotheses.
 
-    `ranked_noise_changes` are pairs of a log evidence and a change of the noise. `log_evidence_of_effects` is the log
-    of the summed evidence of all hypotheses that are no changes of the noise.
+    `ranked_noise_hypotheses` are pairs of a log evidence and a noise hypothesis. `log_evidence_of_effects` is the log
+    of the summed evidence of all other hypotheses.
     """
-    log_evidences = np.array([value for value, _ in ranked_noise_changes])
+    log_evidences = np.array([value for value, _ in ranked_noise_hypotheses])
     weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))
     p_by_name: dict[str, float] = {}
-    for (_, entry), weight in zip(ranked_noise_changes, weights.tolist(), strict=True):
+    for (_, entry), weight in zip(ranked_noise_hypotheses, weights.tolist(), strict=True):
         p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)
     name = most_probable_name(p_by_name)
-    value, best = next(entry for entry in ranked_noise_changes if entry[1].effect.name == name)
+    value, best = next(entry for entry in ranked_noise_hypotheses if entry[1].effect.name == name)
     probability, rivals = probability_and_equivalents(p_by_name, name)
     return replace(best, log_evidence=value, probability=probability, equivalents=rivals)

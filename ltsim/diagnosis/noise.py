@@ -8,8 +8,8 @@ same form is used for the recording and for simulated recordings. The hypotheses
 without approximation, if the network is small enough for a basis. The evidence is an average over a grid of sizes,
 which is finer for these hypotheses. It can therefore be compared with the evidence of effects that shift readings.
 
-Sizes of arrays below: m rows of the residual space, g means of repeated readings, h hypotheses, and trials (the
-recording, or simulated recordings).
+Sizes of arrays below: m observation equations, g means of repeated readings, h hypotheses, and trials (the recording,
+or simulated recordings).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.noise_estimation import reml_gain_function, with_estimated_sizes
 from ltsim.diagnosis.noise_factors import VarianceFactors, VariancePatternWithSizes
 from ltsim.diagnosis.noise_groups import (
-    GroupNoiseChange,
+    GroupNoiseHypothesis,
     GroupNoiseMixture,
     RecordingNoiseLevel,
 )
@@ -54,12 +54,12 @@ from ltsim.scene.sightings import Sightings
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
 """Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
 groups of targets and regions of the hall."""
-N_FINE_GRID_SIZES = 48
+N_FINE_GRID_NOISE_SIZES = 48
 """Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Changes of the noise with one size for all affected readings, each with the sizes of a grid.
+    """Noise hypotheses with one size (factor or added variance) for all affected readings, one for each size of a grid.
 
     `instruments` are the names of the instruments, each of which may have separate noise if there are several.
     """
@@ -73,35 +73,40 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseHypothesisSet:
-    """Noise hypotheses on a residual space, with their evidence for the recording and for simulated recordings.
+    """Noise hypotheses in the residual space of an adjustment, with their evidence.
 
-    In the diagonal form the evidence depends linearly on squared residuals and on squared means of repeated readings.
+    The evidence is computed for the recording and for simulated recordings. In the diagonal form (independent readings)
+    it is a linear function of squared residuals and of squared means of repeated readings.
     """
 
     hypotheses: list[NoiseHypothesis]
-    """The h hypotheses with one size for all affected readings."""
-    families: tuple[str, ...]
-    """Names of the kinds of noise change (families) of these hypotheses."""
+    """Hypotheses (h of them) with one size for all affected readings."""
+    family_names: tuple[str, ...]
+    """Names of the families (kinds of changed noise level) of these hypotheses."""
     family_indices: Ints
-    """Index (h,) of the family of each of h hypotheses."""
+    """Index (h,) of the family (kind of changed noise level) of each of h hypotheses."""
     variance_factors: VarianceFactors
-    """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
+    """Variance factors of m observation equations, and of g means of repeated readings for errors that these share."""
     averaging_matrix: sp.csr_array
-    """Matrix (g, m) that maps the m rows to g means of repeated readings, first in each face and then in both faces."""
+    """Matrix (g, m) that maps m observations to g means of repeated readings, first in each face and then in both
+    faces."""
     parameter_basis: Floats | None
-    """Orthonormal basis (m, u) of the changes of the m rows by u estimated parameters; None in a network that is too
-    large for a basis."""
-    group_noise_changes: tuple[GroupNoiseChange, ...]
-    """Hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
+    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None in a network that is
+    too large for a basis."""
+    group_noise_hypotheses: tuple[GroupNoiseHypothesis, ...]
+    """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
-    space: ResidualSpace
+    residual_space: ResidualSpace
     """Residual space of the adjustment."""
 
     @classmethod
-    def from_space(
-        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
+    def from_residual_space(
+        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_noise_below_declared: bool = True
     ) -> NoiseHypothesisSet:
-        """Noise hypotheses on a residual space; the noise level may be below the declared one if `allows_quieter`."""
+        """Noise hypotheses in the residual space of an adjustment, from hypotheses with one size for all readings.
+
+        The noise level of the recording may be below the declared one if `allows_noise_below_declared`.
+        """
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
         pattern_counts = space.n_equations - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
@@ -110,21 +115,21 @@ class NoiseHypothesisSet:
             _noise_patterns(space, hypotheses, repeat_patterns),
             np.concatenate([np.nonzero(space.is_used_reading)[1], *other_groups]),
         )
-        names = tuple(dict.fromkeys(h.family for h in hypotheses))
+        names = tuple(dict.fromkeys(h.family_name for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
-        family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
+        family = np.array([index[h.family_name] for h in hypotheses], dtype=np.int64)
         basis = parameter_basis_of_small_network(space)
-        group_noise_changes = (
-            RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
+        group_noise_hypotheses = (
+            RecordingNoiseLevel.from_residual_space(space, allows_noise_below_declared=allows_noise_below_declared),
             *GroupNoiseMixture.candidates(space),
-            *NoiseWindows.from_space(space),
+            *NoiseWindows.from_residual_space(space),
         )
         return cls(
-            list(hypotheses), names, family, variance_factors, averaging_matrix, basis, group_noise_changes, space
+            list(hypotheses), names, family, variance_factors, averaging_matrix, basis, group_noise_hypotheses, space
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), in the diagonal form.
+        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), with independent readings.
 
         `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
         numbers.
@@ -134,10 +139,10 @@ class NoiseHypothesisSet:
         return self.variance_factors.log_likelihood_ratios(squares, share)
 
     def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of all families of noise changes, in the diagonal form.
+        """Log evidence (families, trials), with priors, of all kinds of noise hypotheses, with independent readings.
 
-        The first rows of the result belong to `families`, the others to `group_noise_changes`. `residual` (m, trials)
-        are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
+        The first rows of the result belong to `family_names`, the others to `group_noise_hypotheses`. `residual` (m,
+        trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(
@@ -145,37 +150,47 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_of_all_families(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors for a batch of recordings (trials), m residuals (m, trials)."""
+        """Log evidence (families, trials) with priors of all kinds of noise hypotheses for a batch of recordings.
+
+        `residual` (m, trials) are m whitened residuals of each recording (trial).
+        """
         patterns = self._log_evidence_from_ratios(self.log_likelihood_ratios(residual, redundancy))
         return np.vstack(
             [
                 patterns,
-                *(self._group_noise_log_evidence(change, residual, redundancy) for change in self.group_noise_changes),
+                *(
+                    self._group_noise_log_evidence(change, residual, redundancy)
+                    for change in self.group_noise_hypotheses
+                ),
             ]
         )
 
-    def _group_noise_log_evidence(self, change: GroupNoiseChange, residual: Floats, redundancy: Floats) -> Floats:
+    def _group_noise_log_evidence(self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,), with prior, of the noise hypothesis `change` with a size for each group of readings.
+
+        It is computed for a batch of recordings (trials).
+        """
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
-    def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a family of noise changes: an effect of the catalogue, or an `unknown` one outside it."""
+    def log_prior_of_family(self, family_name: str) -> float:
+        """Log prior probability of a kind of noise hypothesis, a catalogue effect or `unknown`, given by its name."""
         return log_prior_of_noise_family(
-            family, (*self.families, *(change.name for change in self.group_noise_changes))
+            family_name, (*self.family_names, *(change.name for change in self.group_noise_hypotheses))
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of `families` from log likelihood ratios (h, trials).
+        """Log evidence (families, trials), with priors, of `family_names` from log likelihood ratios (h, trials).
 
         The ratios are those of h hypotheses for each recording (trial).
         """
-        share = np.array([self.log_prior_of_family(family) for family in self.families])
-        return log_mean_exp_by_group(ratio, self.family_indices, len(self.families)) + share[:, None]
+        share = np.array([self.log_prior_of_family(family) for family in self.family_names])
+        return log_mean_exp_by_group(ratio, self.family_indices, len(self.family_names)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
         """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
 
-        `residual` (m,) are the m whitened residuals given a model, and the e columns of `model_basis` (m, e) are the
-        basis of the changes by the model.
+        `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
+        are the basis of the changes by these effects.
         """
         assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
@@ -191,9 +206,9 @@ class NoiseHypothesisSet:
     def _excess_over_diagonal_form(
         self, hypothesis_index: int, diagonal_log_ratio: float, residual: Floats, model_basis: Floats
     ) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus its value in the diagonal form, `diagonal_log_ratio`.
+        """Log restricted likelihood ratio of a hypothesis minus its approximation `diagonal_log_ratio`.
 
-        In a large network the result is 0.
+        The approximation treats the readings as independent. In a large network the result is 0.
         """
         return (
             0.0
@@ -209,9 +224,9 @@ class NoiseHypothesisSet:
         residual: Floats,
         redundancy: Floats,
     ) -> float:
-        """Log evidence of a family of noise changes, with a fine grid of sizes of its most probable effect.
+        """Log evidence of a kind of noise hypothesis, with a fine grid of sizes of its most probable effect.
 
-        `hypothesis_indices` are the indices of the family's hypotheses, `best_index` is the one with the largest
+        `hypothesis_indices` are the indices of the hypotheses of this kind, `best_index` is the one with the largest
         likelihood, and `log_likelihood_ratios` are their log likelihood ratios. For an effect with several parameters,
         the evidence is averaged over each parameter alone and all parameters together.
         """
@@ -222,23 +237,23 @@ class NoiseHypothesisSet:
             np.where(candidate_parameter_values > 0.0, candidate_parameter_values, np.inf).min(axis=0),
             candidate_parameter_values.max(axis=0),
         )
-        reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
+        reml_gain = reml_gain_function(self.residual_space, self.residual_space.sigma, effect, residual, redundancy)
         log_evidences = log_sum_exp(
-            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_SIZES)])
-        ) - np.log(N_FINE_GRID_SIZES)
+            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_NOISE_SIZES)])
+        ) - np.log(N_FINE_GRID_NOISE_SIZES)
         subsets = [*log_evidences, log_evidences.sum()] if len(log_evidences) > 1 else log_evidences
         fine_evidence = log_sum_exp(np.array(subsets)) + np.log(is_same.sum() / len(subsets))
         return float(
             log_sum_exp(np.append(log_likelihood_ratios[~is_same], fine_evidence)) - np.log(len(hypothesis_indices))
         )
 
-    def ranked_noise_changes(
+    def ranked_noise_hypotheses(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence (with prior) and most probable hypothesis of each family, by decreasing evidence.
+        """Pairs of log evidence (with prior) and most probable hypothesis of each kind, by decreasing evidence.
 
         The m residuals `residual` (m,), redundancy numbers `redundancy` (m,) and the basis `model_basis` (m, e) of e
-        dimensions are given a model.
+        dimensions are given the effects of a model.
         """
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)
         evidence = self._log_evidence_from_ratios(ratio)[:, 0]
@@ -249,7 +264,7 @@ class NoiseHypothesisSet:
             value = float(evidence[family])
             if rank < N_EXACTLY_EVALUATED_HYPOTHESES:
                 value = self._log_evidence_on_fine_grid(members, likeliest, ratio[members, 0], residual, redundancy)
-                value += self.log_prior_of_family(self.families[family])
+                value += self.log_prior_of_family(self.family_names[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
             ranking.append((value, self.hypotheses[likeliest]))
         for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in ranking))):
@@ -262,7 +277,11 @@ class NoiseHypothesisSet:
 
         The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """
-        space, residual, redundancy = self.space, self.space.whitened_residuals, self.space.redundancy
+        space, residual, redundancy = (
+            self.residual_space,
+            self.residual_space.whitened_residuals,
+            self.residual_space.redundancy,
+        )
         values, factors = [0.0], [np.ones(space.sigma.shape)]
         for hypothesis, value in self._ranked_patterns(residual, redundancy):
             sizes = np.array(with_estimated_sizes(space, space.sigma, hypothesis).sizes)
@@ -277,9 +296,9 @@ class NoiseHypothesisSet:
         return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable patterns of noise, each with its most probable size, and the log evidence summed over sizes."""
+        """Most probable patterns of added variance, each with its most probable size, and log evidence of all sizes."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
-        prior = np.array([self.log_prior_of_family(name) for name in self.families])
+        prior = np.array([self.log_prior_of_family(name) for name in self.family_names])
         prior -= np.log(np.bincount(self.family_indices))
         members: dict[CandidateNoiseEffect, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
@@ -295,15 +314,15 @@ class NoiseHypothesisSet:
 
     def ranked_group_noise(
         self, residual: Floats, redundancy: Floats, rival_log_evidence: float
-    ) -> list[tuple[GroupNoiseChange, float]]:
-        """Pairs of a change of the noise, of groups or in intervals of time, and its log evidence.
+    ) -> list[tuple[GroupNoiseHypothesis, float]]:
+        """Pairs of a noise hypothesis for groups of readings or intervals of time, and its log evidence.
 
-        Changes limited to some targets, a station or a region are included if their log evidence is not far below
-        `rival_log_evidence`.
+        Hypotheses limited to some targets, a station or a region are included if their log evidence is not far below
+        `rival_log_evidence`, the largest log evidence of another hypothesis.
         """
         ranked_hypotheses = [
             (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
-            for change in self.group_noise_changes
+            for change in self.group_noise_hypotheses
         ]
         least = (
             max(rival_log_evidence, *(value for _, value in ranked_hypotheses))
@@ -320,15 +339,16 @@ class NoiseHypothesisSet:
         ]
 
     def _group_noise_log_evidence_of_residuals(
-        self, change: GroupNoiseChange, residual: Floats, redundancy: Floats
+        self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats
     ) -> float:
+        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording."""
         return float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
 
 
 def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], averaging_matrices: Sequence[sp.csr_array]
 ) -> Iterator[VariancePatternWithSizes]:
-    """Iterator over patterns of the hypotheses: added variance of the readings per unit of the size, and the sizes.
+    """Iterator over patterns of noise: added variance of the readings per unit of the size, and the sizes to be tried.
 
     For errors that repeated readings share, the pattern contains the means of these readings (`averaging_matrices`). A
     variance function has one pattern, because it is linear in its size. A catalogue effect has one pattern for each

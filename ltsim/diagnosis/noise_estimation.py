@@ -1,6 +1,6 @@
-"""Estimation of the sizes of a change of the noise, by restricted likelihood.
+"""Estimation of the sizes of a noise hypothesis by restricted likelihood.
 
-Sizes of arrays below: m rows of the residual space, n pointings, k variance parameters.
+Sizes of arrays below: m observation equations, n pointings, k variance parameters.
 """
 
 from __future__ import annotations
@@ -30,19 +30,20 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.centring import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
-"""Number of points of each grid on which the posterior distribution of a size is summed."""
+"""Number of points of each grid on which the posterior distribution of a variance parameter is summed."""
 N_VARIANCE_GRID_ZOOMS = 9
-"""Number of successively narrower grids on which the posterior distribution of a size is summed. The sum over a normal
-density is accurate for spacings of up to 1.5 standard deviations."""
+"""Number of successively narrower grids on which the posterior distribution of a variance parameter is summed. The sum
+over a normal density is accurate for spacings of up to 1.5 standard deviations."""
 
 
 def reml_gain_function(
     space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Function from the values (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
+    """Function from the values (k,) of k variance parameters to the gain (k,) of log likelihood by each parameter.
 
-    Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3) of n
-    pointings, while the m residuals (m,) are whitened by the standard deviations of the residual space.
+    The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
+    standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
+    deviations of the residual space.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
@@ -50,6 +51,7 @@ def reml_gain_function(
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def variance_factors_at(values: Floats) -> Floats:
+        """Variance factors (m,) of m observation equations at the values (k,) of the variance parameters."""
         factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
         return factor if means is None else 1.0 + added_variance_of_means(means, factor - 1.0)
 
@@ -58,6 +60,7 @@ def reml_gain_function(
     )
 
     def reml_gain_at(values: Floats) -> Floats:
+        """Gain (k,) of restricted log likelihood by each of k variance parameters at the values (k,)."""
         factor = variance_factors_at(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, log_restricted_likelihood_ratio(squares, share, factor), -np.inf)
@@ -69,7 +72,10 @@ def reml_gain_function(
 def _log_likelihood_ratios_of_groups(
     reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats
 ) -> Floats:
-    """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors."""
+    """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors, from `reml_gain`.
+
+    `reml_gain` is the result of `reml_gain_function`.
+    """
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])
 
@@ -77,17 +83,18 @@ def _log_likelihood_ratios_of_groups(
 def _log_likelihood_by_fraction(log_ratios: Floats) -> Floats:
     """Log likelihood (q,) of each of the q fractions of noisy groups in `NOISY_GROUP_FRACTIONS`.
 
-    `log_ratios` (f, k) are the log likelihood ratios of k groups for f variance factors, which have equal prior
-    probabilities for a noisy group.
+    `log_ratios` (f, k) are the log likelihood ratios of k groups of readings for f variance factors, which have equal
+    prior probabilities for a noisy group.
     """
     noisy = log_sum_exp(log_ratios) - np.log(len(log_ratios))
     return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + noisy).sum() for q in NOISY_GROUP_FRACTIONS])
 
 
 def _with_occam_factor(hypothesis: NoiseHypothesis, log_ratios: Floats) -> NoiseHypothesis:
-    """Hypothesis of separate noise of k groups with its Occam factor.
+    """Copy of a hypothesis of separate noise of k groups of readings, with its Occam factor.
 
-    `log_ratios` (f, k) are the log likelihood ratios of the groups for f variance factors.
+    The Occam factor is the evidence divided by the largest likelihood. `log_ratios` (f, k) are the log likelihood
+    ratios of the groups for f variance factors.
     """
     log_evidence = log_sum_exp(_log_likelihood_by_fraction(log_ratios)) - np.log(len(NOISY_GROUP_FRACTIONS))
     return replace(hypothesis, log_occam_factor=float(log_evidence) - 0.5 * hypothesis.chi2_drop)
@@ -98,7 +105,8 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
 
     Let p be the probability that a reading is in the tail, where its variance is multiplied by a factor f. Its expected
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
-    The fraction of readings in the tail is the fraction with the largest likelihood.
+    The fraction of readings in the tail is the fraction with the largest likelihood. `reml_gain` is the result of
+    `reml_gain_function`.
     """
     n_readings = len(hypothesis.effect.parameters)
     log_ratios = _log_likelihood_ratios_of_groups(reml_gain, n_readings, HEAVY_TAIL_VARIANCE_FACTORS)

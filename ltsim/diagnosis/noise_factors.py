@@ -1,6 +1,6 @@
-"""Variance factors of many noise hypotheses, and their log likelihood ratios in the diagonal form.
+"""Variance factors of many noise hypotheses, and their log likelihood ratios with independent readings (diagonal form).
 
-In the diagonal form the rows of the residual space are independent, each with its redundancy number.
+Each observation equation has its redundancy number.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
-"""Fraction of nonzero elements above which a pattern is stored as a dense row, which limits the memory. The fraction
-refers to the rows of the kinds of observations that the pattern changes."""
+"""Fraction of nonzero elements above which a pattern of added variance is stored as a dense row, which limits the
+memory. The fraction refers to the kinds of observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
 class VariancePatternGroup:
-    """Patterns of added variance, and hypotheses, each of which is a pattern times a size.
+    """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same rows of the residual space.
+    Either all patterns are sparse, or all are dense on the same observation equations.
     """
 
     hypothesis_indices: Ints
@@ -30,22 +30,23 @@ class VariancePatternGroup:
     pattern_indices: Ints
     """Index (h,) of the pattern of each of h hypotheses, in ascending order."""
     sizes: Floats32
-    """Size (h,) of each of h hypotheses; the variance factor of a row is 1 plus the size times the added variance."""
+    """Size (h,) of each of h hypotheses; the variance factor of an observation is 1 plus the size times its added
+    variance."""
     row_indices: Ints | slice
-    """Indices (r,) of the r rows of dense patterns; all rows for sparse patterns."""
+    """Indices (r,) of the r observation equations of dense patterns; all of them for sparse patterns."""
     added_variance: Floats32 | sp.csr_array
-    """Added variance (p, r) in r rows by p patterns per unit of the size, divided by the declared variance."""
+    """Added variance (p, r) of r observations by p patterns per unit of the size, divided by the declared variance."""
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Iterator over batches: indices (b,) of b hypotheses, and log likelihood ratios (b, trials) by recording.
 
-        The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s,
-        residuals r and redundancy numbers k.
+        The log likelihood ratio is half the sum over observations of (1 - 1/s) r^2 - k log s, with the variance factors
+        s, residuals r and redundancy numbers k.
 
         Parameters
         ----------
         squares : (m, trials) float32
-            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated recordings (trials).
+            Squares r^2 of whitened residuals of m observations, of the recording or of simulated recordings (trials).
         redundancy : (m,) float
             Redundancy numbers k.
         """
@@ -57,7 +58,7 @@ class VariancePatternGroup:
             yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the r rows whose noise a hypothesis changes, and logs (r,) of its variance factors there.
+        """Indices (r,) of the r observations whose noise a hypothesis changes, and logs (r,) of its variance factors.
 
         `member_index` is the index of the hypothesis in this group.
         """
@@ -69,7 +70,7 @@ class VariancePatternGroup:
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, member_range: slice) -> Floats32 | sp.csr_array:
-        """Logs (h, r) of the variance factors in r rows of the h hypotheses in a range of this group."""
+        """Logs (h, r) of the variance factors of r observations by the h hypotheses in a range of this group."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
             self.sizes[member_range],
@@ -81,7 +82,7 @@ class VariancePatternGroup:
 
 
 def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> Floats32 | sp.csr_array:
-    """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses and r rows."""
+    """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses."""
     if isinstance(log_variance_factors, np.ndarray):
         return -np.expm1(-log_variance_factors)
     return sp.csr_array(
@@ -91,8 +92,8 @@ def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> F
 
 
 VariancePatternWithSizes = tuple[Floats, tuple[float, ...]]
-"""Pattern of added variance: its values for the first rows of the residual space per unit of the size, and the sizes of
-the hypotheses with this pattern."""
+"""Pattern of added variance: its values for the first observation equations per unit of the size, and the sizes of the
+hypotheses with this pattern."""
 
 
 @dataclass(frozen=True)
@@ -102,14 +103,14 @@ class VarianceFactors:
     n_hypotheses: int
     """Number h of hypotheses."""
     groups: tuple[VariancePatternGroup, ...]
-    """Groups of patterns, to one of which each hypothesis belongs."""
+    """Groups of patterns of added variance, to one of which each hypothesis belongs."""
 
     @classmethod
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
-        """Variance factors from the patterns of consecutive hypotheses.
+        """Variance factors from the patterns of added variance of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of observation of each of the m rows of the residual space. Dense patterns
-        are stored on all rows of the kinds that they change.
+        `observation_kinds` (m,) is the kind of each of the m observations. Dense patterns are stored for all
+        observations of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Floats32]] = []
@@ -157,7 +158,7 @@ class VarianceFactors:
         return ratio
 
     def affected_rows_and_log_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the r rows whose noise a hypothesis changes, and logs (r,) of its variance factors there.
+        """Indices (r,) of the r observations whose noise a hypothesis changes, and logs (r,) of its variance factors.
 
         `hypothesis` is the index of the hypothesis among all h hypotheses.
         """
@@ -166,12 +167,16 @@ class VarianceFactors:
 
 
 FirstIndexAndSizes = tuple[int, tuple[float, ...]]
-"""Index of the first hypothesis of a pattern, and the sizes of its hypotheses."""
+"""Index of the first hypothesis of a pattern of added variance, and the sizes of its hypotheses."""
 
 
 def _pattern_group(
     pattern_hypotheses: Sequence[FirstIndexAndSizes], row_indices: Ints | slice, added_variance: Floats32 | sp.csr_array
 ) -> VariancePatternGroup:
+    """Group of patterns of added variance with their hypotheses, on the observation equations `row_indices`.
+
+    `pattern_hypotheses` has the index of the first hypothesis and the sizes of each pattern.
+    """
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
     pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
     pattern_sizes = np.concatenate([sizes for _, sizes in pattern_hypotheses]).astype(np.float32)
@@ -179,7 +184,10 @@ def _pattern_group(
 
 
 def _sparse_pattern_matrix(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
-    """Sparse matrix (p, n_rows) of p patterns on `n_rows` rows, from indices and values of its nonzero elements."""
+    """Sparse matrix (p, n_rows) of p patterns on `n_rows` observations, from its nonzero elements.
+
+    `row_entries` are the indices and the values of the nonzero elements of each pattern.
+    """
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
     return sp.csr_array((values, row_indices, ends), (len(row_entries), n_rows))

@@ -1,6 +1,6 @@
 """Noise that differs between groups of readings: the whole recording, targets, set-ups, or readings in a heavy tail.
 
-Sizes of arrays below: m rows of the residual space, g groups, and a number of trials (recordings whose residuals are
+Sizes of arrays below: m observation equations, g groups, and a number of trials (recordings whose residuals are
 evaluated together: the recording itself, or simulated recordings).
 """
 
@@ -24,10 +24,10 @@ from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
-"""Factors on the variance of a group, in steps of 10 %, over which the evidence is averaged."""
+"""Factors on the variance of a group of readings, in steps of 10 %, over which the evidence is averaged."""
 COARSE_GROUP_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
-"""Factors on the variance of one of many groups, over which the evidence is averaged; only clearly larger variances are
-tried."""
+"""Factors on the variance of one of many groups of readings, over which the evidence is averaged; only clearly larger
+variances are tried."""
 NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Fractions of targets, set-ups or readings with larger noise than declared, over which the evidence is averaged."""
 MIN_READINGS_FOR_HEAVY_TAIL = 60
@@ -36,26 +36,26 @@ MAX_READINGS_FOR_HEAVY_TAIL = 4000
 """Largest number of readings in a recording for which the search tries a heavy tail of their error distribution, to
 limit the computing time."""
 HEAVY_TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail, over which the evidence is averaged. The standard deviation is then
-two to ten times the declared one."""
+"""Factors on the variance of a reading in the tail of the error distribution, over which the evidence is averaged. The
+standard deviation is then two to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
 
 
 @dataclass(frozen=True)
-class GroupNoiseChange:
-    """Change of the noise with a separate variance factor for each of g groups of readings."""
+class GroupNoiseHypothesis:
+    """Noise hypothesis with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
-    """Change of the noise, with one parameter per group."""
+    """Effect on the noise level, with one parameter per group of readings."""
     group_indicators: sp.csr_array
-    """Indicators (g, m) of those of m rows of the residual space that belong to each of g groups."""
+    """Indicators (g, m) of those of m observations that belong to each of g groups."""
     variance_factor_grid: Floats
-    """Variance factors over which the evidence is averaged."""
+    """Variance factors of a group over which the evidence is averaged."""
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise change."""
+        """Name of this kind of noise hypothesis."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -71,31 +71,31 @@ class GroupNoiseChange:
         return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of the change for each recording (trial), from m residuals (m, trials).
+        """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
 
         `redundancy` (m,) are the redundancy numbers of the m residuals.
         """
         raise NotImplementedError
 
-    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
-        """Change of the noise limited to the targets, station or region with the largest evidence.
+    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
+        """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a change that cannot be limited in this way.
+        The result is empty for a hypothesis that cannot be limited in this way.
         """
         del residual, redundancy
         return ()
 
     def expected_variance_factors(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (m,) of the variance factors of m rows, for residuals (m,); 1 for rows of no group."""
+        """Posterior mean (m,) of the variance factors of m observations, for residuals (m,); 1 outside all groups."""
         factors: Floats = 1.0 + self.group_indicators.T @ self._expected_added_variance(residual, redundancy)
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance."""
+        """Posterior mean (g,) of the added variance of each of g groups, in units of the declared variance."""
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, provided that its noise is not as declared.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, if its noise is not as declared.
 
         The added variance is divided by the declared variance.
         """
@@ -108,7 +108,7 @@ class GroupNoiseChange:
         return mean_added_variance
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
-        """Change of the noise with the most probable observables and time windows for m whitened residuals (m,).
+        """Effect on the noise with the most probable observables and time windows for m whitened residuals (m,).
 
         Its sizes are estimated afterwards.
         """
@@ -116,12 +116,15 @@ class GroupNoiseChange:
         return self.effect
 
 
-class RecordingNoiseLevel(GroupNoiseChange):
-    """Noise level of the whole recording: one variance factor for all observables, or separate factors for some."""
+class RecordingNoiseLevel(GroupNoiseHypothesis):
+    """Noise level of the whole recording: one variance factor for all observables, or separate factors."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
-        """Noise level in a residual space; it may be below the declared level only if `allows_quieter`."""
+    def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
+        """Noise level of a recording, from the residual space of its adjustment.
+
+        It is below the declared level only if `allows_noise_below_declared`.
+        """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
             (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_equations)
@@ -129,11 +132,13 @@ class RecordingNoiseLevel(GroupNoiseChange):
         return cls(
             level,
             group_indicators,
-            GROUP_VARIANCE_FACTORS if allows_quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
+            GROUP_VARIANCE_FACTORS
+            if allows_noise_below_declared
+            else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
         )
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of each recording (trial), from m residuals (m, trials).
+        """Log evidence (trials,) of a changed noise level for each recording (trial), from m residuals (m, trials).
 
         A common factor of all observables, and separate factors of some observables, have equal prior probabilities.
         """
@@ -176,7 +181,7 @@ class RecordingNoiseLevel(GroupNoiseChange):
         return added
 
 
-class GroupNoiseMixture(GroupNoiseChange):
+class GroupNoiseMixture(GroupNoiseHypothesis):
     """Noise that is larger than declared for a fraction of the targets, of the stations, or of the readings."""
 
     @classmethod
@@ -224,11 +229,11 @@ class GroupNoiseMixture(GroupNoiseChange):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise change."""
+        """Name of this kind of noise hypothesis."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of each recording (trial), averaged over the fraction of noisy groups.
+        """Log evidence (trials,) for each recording (trial), averaged over the fraction of noisy groups.
 
         `residual` (m, trials) are m whitened residuals of each recording, and `redundancy` (m,) their redundancy
         numbers.
@@ -236,12 +241,12 @@ class GroupNoiseMixture(GroupNoiseChange):
         return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
 
     def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (q, trials) of each recording (trial) for each of the q values of `NOISY_GROUP_FRACTIONS`."""
+        """Log evidence (q, trials) for each recording (trial) and each of the q values of `NOISY_GROUP_FRACTIONS`."""
         each = self.log_evidence_by_group(residual, redundancy)
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, divided by the declared variance.
 
         It is an average over the fraction of noisy groups.
         """

@@ -1,4 +1,4 @@
-"""Hypothesis of a change of the noise: the readings scatter more or less than declared."""
+"""Noise hypothesis: the readings scatter more or less than declared."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """Hypothesis of a change of the noise; the sizes of its parameters are one point of a grid, or estimates."""
+    """Noise hypothesis: an effect that changes the noise level, with tried or estimated sizes of its parameters."""
 
-    family: str
-    """Name of the kind of noise change; it begins with `unknown` for a kind outside the catalogue."""
+    family_name: str
+    """Name of the kind of noise hypothesis; it begins with `unknown` for a kind outside the catalogue."""
     effect: CandidateNoiseEffect
-    """Effect that changes the noise."""
+    """Effect that changes the noise level."""
     sizes: tuple[float, ...]
     """Values [SI] of the parameters of the effect."""
     size_sigmas: tuple[float, ...] = ()
-    """Standard deviations of estimated sizes [SI]; empty for a point of a grid."""
+    """Standard deviations of estimated sizes [SI]; empty if the sizes are values of a grid that are tried."""
     chi2_drop: float = 0.0
     """Twice the log restricted likelihood ratio of the noise with the estimated sizes to the declared noise."""
     log_evidence: float = 0.0
-    """Log evidence of this change of the noise, with its prior."""
+    """Log evidence of the noise hypothesis, with its prior."""
     log_occam_factor: float = 0.0
     """Log of the Occam factor of separate noise of many groups: log evidence minus log likelihood ratio of the
-    estimates; 0 for other changes."""
+    estimates; 0 for other hypotheses."""
     probability: float = 0.0
-    """Posterior probability that this change of the noise is the cause of the misfit."""
+    """Posterior probability that the changed noise level is the cause of the misfit."""
     equivalents: tuple[EquivalentEffect, ...] = ()
     """Other effects that cannot be excluded as the cause of the misfit."""
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of any change of the noise of this kind: of the catalogue, or outside it."""
-        return log_prior_of_each_explanation("scatter" if self.family.startswith("unknown") else "noise", 1)
+        """Log prior probability of this kind of noise hypothesis: of the catalogue, or outside it."""
+        return log_prior_of_each_explanation("scatter" if self.family_name.startswith("unknown") else "noise", 1)
 
     @property
     def log_prior_times_occam_factor(self) -> float:
         """Log of the prior times the Occam factor: log evidence minus log likelihood ratio of the estimated sizes.
 
         It is limited to the log prior, because a log evidence without approximation may exceed a log likelihood ratio
-        in the diagonal form.
+        with independent readings.
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
     def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
-        """Sum of this change of the noise and a further change with the same effect."""
+        """Sum of this noise hypothesis and a further one with the same effect: their sizes are added."""
         return replace(
             self,
             sizes=tuple(a + b for a, b in zip(self.sizes, added_change.sizes, strict=True)),
@@ -59,12 +59,13 @@ class NoiseHypothesis:
         )
 
 
-def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
-    """Log prior of the family of noise changes `family` among `families`, in the catalogue or outside it (`unknown`).
+def log_prior_of_noise_family(family_name: str, family_names: Collection[str]) -> float:
+    """Log prior probability of the kind of noise hypothesis `family_name` among the kinds `family_names`.
 
-    The probability of a change in the catalogue is divided in proportion to the base rates of the effects.
+    A kind is a catalogue effect, or begins with `unknown`. The probability of a change in the catalogue is divided in
+    proportion to the base rates of the effects.
     """
-    in_catalogue = [name for name in families if not name.startswith("unknown")]
-    if family.startswith("unknown"):
-        return log_prior_of_each_explanation("scatter", len(families) - len(in_catalogue))
-    return float(log_prior_by_base_rate("noise", in_catalogue)[in_catalogue.index(family)])
+    in_catalogue = [name for name in family_names if not name.startswith("unknown")]
+    if family_name.startswith("unknown"):
+        return log_prior_of_each_explanation("scatter", len(family_names) - len(in_catalogue))
+    return float(log_prior_by_base_rate("noise", in_catalogue)[in_catalogue.index(family_name)])

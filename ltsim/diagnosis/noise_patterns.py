@@ -1,4 +1,4 @@
-"""Changes of the noise outside the catalogue: with a covariate, in an interval of it, at targets, or in a region."""
+"""Noise hypotheses outside the catalogue: noise that depends on a covariate, a target, or a region of the hall."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from ltsim.scene.sightings import Sightings
 ADDED_VARIANCES_OF_ALL_READINGS = (0.25, 0.6, 1.5, 4.0, 12.0)
 """Added variances, divided by the declared variance, that a search tries for all readings."""
 ADDED_VARIANCES_AT_PATTERN_MAXIMUM = (2.0, 6.0, 20.0)
-"""Added variances, divided by the declared variance, that a search tries at the maximum of a pattern."""
+"""Added variances, divided by the declared variance, that a search tries at the maximum of a variance function."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
 """Added variances, divided by the declared variance, that a search tries for the readings to a target."""
 MAX_POINTINGS_FOR_NOISE_BANDS = 2000
@@ -27,8 +27,9 @@ NOISY_SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 NOISY_COVARIATE_QUANTILES = (0.25, 0.5, 0.75)
 """Thresholds above or below which the noise may be larger, as quantiles of a covariate other than a direction."""
-MIN_SECTOR_FRACTION = 0.05
-"""Smallest fraction of the pointings inside a sector, and also outside it, for which the sector is tried."""
+MIN_POINTING_FRACTION_OF_SECTOR = 0.05
+"""Smallest fraction of the pointings inside a sector of directions, and also outside it, for which the sector is
+tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 """Shapes, as bounded axes, of the regions of the hall in which lines of sight may have larger noise."""
 
@@ -36,7 +37,7 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 def candidate_variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Changes of the noise outside the catalogue, each as a tuple of name, variance function, and sizes to be tried.
+    """Noise hypotheses outside the catalogue: tuples of name, variance function, and sizes to be tried.
 
     `instrument_places` has the set-ups of each instrument, if there are several instruments.
     """
@@ -80,12 +81,12 @@ def candidate_variance_functions(
 
 
 def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Iterator over pairs of a covariate and an interval (two values) of it in which the noise may be larger."""
+    """Iterator over pairs of a covariate and an interval of it (two values) in which the noise may be larger."""
     for name, width in product(("azimuth", "bearing"), NOISY_SECTOR_WIDTHS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
             inside = VarianceFunction(covariates=(name,), covariate_band=band).is_in_band(sightings)
-            if MIN_SECTOR_FRACTION <= inside.mean() <= 1.0 - MIN_SECTOR_FRACTION:
+            if MIN_POINTING_FRACTION_OF_SECTOR <= inside.mean() <= 1.0 - MIN_POINTING_FRACTION_OF_SECTOR:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += varying_column_names(sightings)

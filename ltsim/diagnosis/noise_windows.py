@@ -2,8 +2,8 @@
 
 Each step of the chain is a pointing, or several pointings in a large recording. The two states are quiet and noisy. The
 evidence is the sum over all sequences of states, by the forward recursion. The time windows are the noisy intervals of
-the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m rows of the
-residual space, s sets of observables, f variance factors.
+the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m observation
+equations, s sets of observables, f variance factors.
 """
 
 from __future__ import annotations
@@ -16,47 +16,50 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import index_of_largest, log_restricted_likelihood_ratio, normalised_probabilities
-from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseChange
+from ltsim.diagnosis.evidence import (
+    index_of_most_evidence,
+    log_restricted_likelihood_ratio,
+    normalised_probabilities,
+)
+from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseHypothesis
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
-WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
-"""Factors on the variance in the noisy state, over which the evidence is averaged."""
+NOISY_WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
+"""Factors on the variance in noisy time windows, over which the evidence is averaged."""
 NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
-"""Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
-MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
+"""Factors on the variance in noisy time windows, in steps of 15 %, over which its posterior mean is computed."""
+EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
-MAX_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit, 355, to which the log likelihood ratio of a step of the chain is clipped, so that the product of two
-likelihood ratios is a finite floating-point number.
-"""
+MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
+"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped. The product of two likelihood
+ratios is then a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the chain; in a recording with more pointings a step contains several pointings."""
-WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
-"""Shapes of the regions of the hall in which noise may be larger for a time."""
-OBSERVABLE_SET_INDICATORS = np.array(
+"""Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
+NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
+"""Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
+NOISY_OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
 """Flags (s, 3) of the observables in each of s sets of observables that may have larger noise at the same time."""
 
 
 @dataclass(frozen=True)
-class NoiseWindows(GroupNoiseChange):
-    """Larger noise in time windows; a group of readings is one observable in one step of the chain."""
+class NoiseWindows(GroupNoiseHypothesis):
+    """Larger noise in time windows; a group of readings is one observable in one step of the Markov chain."""
 
     step_edge_times: Floats
-    """Start [s] of each step of the chain, and end of the last step, (steps + 1,)."""
-    space: ResidualSpace
+    """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
+    residual_space: ResidualSpace
     """Residual space of the adjustment."""
     n_tried_places: int = 1
     """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
     noise in the whole network."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
+    def from_residual_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
         """Hypothesis of larger noise in time windows; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
@@ -76,7 +79,7 @@ class NoiseWindows(GroupNoiseChange):
             cls(
                 VarianceFunction(covariates=("time",), covariate_band=(step_edge_times[0], step_edge_times[-1])),
                 group_indicators,
-                WINDOW_VARIANCE_FACTORS,
+                NOISY_WINDOW_VARIANCE_FACTORS,
                 step_edge_times,
                 space,
             ),
@@ -84,7 +87,7 @@ class NoiseWindows(GroupNoiseChange):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise change."""
+        """Name of this kind of noise hypothesis."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -94,20 +97,23 @@ class NoiseWindows(GroupNoiseChange):
         recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         shape = len(self.step_edge_times) - 1, len(OBSERVABLES), -1
-        squares = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
-        share = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ redundancy).reshape(shape)
+        squares = NOISY_OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
+        share = NOISY_OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ redundancy).reshape(shape)
         ratios = log_restricted_likelihood_ratio(
             squares[:, :, None], share[:, :, None], self.variance_factor_grid[:, None]
         )
-        return np.clip(ratios, -MAX_STEP_LOG_LIKELIHOOD_RATIO, MAX_STEP_LOG_LIKELIHOOD_RATIO)
+        return np.clip(ratios, -MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO, MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO)
 
     @property
     def _state_change_probabilities(self) -> Floats:
-        """Probability of a change of state from one step of the chain to the next, for each of `MEAN_WINDOW_COUNTS`."""
-        return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
+        """Probabilities of a change of state from a step of the chain to the next, one per expected number of windows.
+
+        The expected numbers of noisy windows are `EXPECTED_NOISY_WINDOW_COUNTS`.
+        """
+        return np.minimum(2.0 * EXPECTED_NOISY_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
+        """Log evidence (trials,) for each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
 
         It is averaged over sets of observables, variance factors, and expected numbers of time windows.
         """
@@ -124,9 +130,9 @@ class NoiseWindows(GroupNoiseChange):
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_tried_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups of readings, divided by the declared variance.
 
-        It is an average over all sequences of states, by forward and backward recursion.
+        It is an average over all sequences of states (quiet and noisy), by forward and backward recursion.
         """
         dense = replace(self, variance_factor_grid=NOISY_STATE_VARIANCE_FACTOR_GRID)
         logs, p_change = (
@@ -149,14 +155,14 @@ class NoiseWindows(GroupNoiseChange):
                 * noisy
                 / (forward_probabilities[step, 0] * quiet + forward_probabilities[step, 1] * noisy)
             )
-            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_SET_INDICATORS
+            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ NOISY_OBSERVABLE_SET_INDICATORS
             noisy = noisy * np.exp(logs[step])
             quiet, noisy = quiet + p_change * (noisy - quiet), noisy + p_change * (quiet - noisy)
             quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Change of the noise with the observables and time windows of the most probable sequence of states.
+        """Effect on the noise with the observables and time windows of the most probable sequence of states.
 
         The sequence is computed by Viterbi's algorithm.
         """
@@ -170,33 +176,35 @@ class NoiseWindows(GroupNoiseChange):
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
         """Time windows of larger noise limited to the group of targets, set-up or region with the largest evidence."""
-        s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
+        s, windows = self.residual_space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
         ]
         places += [replace(windows, stations=(name,)) for name in s.station_names if len(s.station_names) > 1]
         places += [
             replace(windows, region=region, covariates=("time", *region.bounded_axes))
-            for region in candidate_regions(s, WINDOW_REGION_SHAPES)
+            for region in candidate_regions(s, NOISY_WINDOW_REGION_SHAPES)
         ]
         if not places:
             return ()
         place = places[
-            index_of_largest(
+            index_of_most_evidence(
                 np.array([self._log_evidence_of_effect(effect, residual, redundancy) for effect in places])
             )
         ]
         whole = replace(
             place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])
         )
-        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.is_used_reading]
+        is_noisy = (whole.variance(s, self.residual_space.sigma, np.ones(1)) > self.residual_space.sigma**2)[
+            self.residual_space.is_used_reading
+        ]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         group_indicators = sp.csr_array(self.group_indicators @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a change of the noise with given time windows and place, averaged over variance factors."""
-        space = self.space
+        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
+        space = self.residual_space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
             space.is_used_reading
         ] - 1.0
@@ -208,16 +216,19 @@ class NoiseWindows(GroupNoiseChange):
         return float(log_sum_exp(log_likelihood_ratios) - np.log(len(log_likelihood_ratios)))
 
     def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
-        """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) flag noisy steps."""
+        """Times [s] at which the noise becomes larger and smaller, alternately.
+
+        `states` (steps,) flag the noisy steps of the chain.
+        """
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.step_edge_times[edges].tolist())
 
 
 def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
-    """Index of the chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
+    """Index of the Markov chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
 
     At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
-    quiet state in c chains, and `change_probability` is the probability of a change of state from a step to the next.
+    quiet state in c chains. `change_probability` is the probability of a change of state from a step to the next.
     """
     score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
     for ratio in log_likelihood_ratios:

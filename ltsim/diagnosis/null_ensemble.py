@@ -24,40 +24,47 @@ from ltsim.core.randomness import random_stream
 from ltsim.solve.projection import BasisResidualProjector
 
 MIN_SIMULATED_RECORDINGS = 300
-"""Smallest number of simulated recordings without any effect. The smallest p-value is then 1 / 301."""
+"""Smallest number of simulated recordings without any effect that give a p-value. The smallest p-value is then 1 /
+301."""
 MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
 """Smallest number of simulated recordings of a large network, smaller to limit the computing time. The smallest p-value
 is then 1 / 100."""
 N_MONTE_CARLO_GRAM_VECTORS = 200
-"""Number of simulated vectors of residuals for Monte-Carlo Gram matrices. The relative standard deviation of such a
-matrix is sqrt(2 / 200), 10 %."""
+"""Number of simulated vectors of residuals from which Gram matrices are estimated in a large network. The relative
+standard deviation of such a matrix is sqrt(2 / 200), 10 %."""
 
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Residual space with vectors whose products with design matrices give scores and Gram matrices."""
+    """Ensemble of vectors (residuals, simulated residuals, basis) for scores and Gram matrices of design matrices.
 
-    space: ResidualSpace
-    """Residual space with m rows."""
+    The scores of a design matrix are its products with the residuals of the recording and of simulated recordings.
+    """
+
+    residual_space: ResidualSpace
+    """Residual space of the adjustment, with m observation equations."""
     probe_vectors: Floats32
-    """Vectors (m, 1 + t + u) with m rows, side by side: the residuals given the model, the residuals of t simulated
-    recordings, and an orthonormal basis of u estimated parameters, or with `uses_monte_carlo_gram` u further simulated
-    residuals."""
+    """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
+    recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
+    by u further simulated residuals."""
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e), e vectors with m elements, of the projected design columns of the model's effects."""
+    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model."""
     is_first_screening: bool
-    """True for the first screening of a space, whose Gram matrices later screenings with a model use again."""
+    """True for the first screening of a residual space, whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
-    This is so in a network whose residual space is too large for an orthonormal basis.
+    This is so in a network that is too large for an orthonormal basis of its estimated parameters.
     """
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
-        """Ensemble of a residual space for the empty model, with `n_trials` recordings simulated from `seed`."""
+    def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
+        """Null ensemble of an adjustment without effects, with `n_trials` recordings simulated from `seed`.
+
+        `space` is the residual space of the adjustment.
+        """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_equations, 1 + n_trials + n_basis_vectors), dtype=np.float32)
@@ -71,35 +78,35 @@ class NullEnsemble:
         return cls(space, vectors, n_trials, empty_basis, is_first_screening=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Ensemble for a model with m residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
+        """Null ensemble for residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
 
-        The e vectors of the basis span the changes by the model. The ensemble has no simulated recordings, because Gram
-        matrices and null values of the empty model are used again.
+        The e orthonormal vectors of the basis span the changes by the effects. The ensemble has no simulated
+        recordings, because the Gram matrices and null values of the adjustment without effects are used again.
         """
         vectors = residual[:, None].astype(np.float32)
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_screening=False)
 
     @property
     def simulated_residuals(self) -> Floats32:
-        """The m residuals (m, t) of each of t simulated recordings."""
+        """Residuals (m, t) of m observation equations in t simulated recordings."""
         return self.probe_vectors[:, 1 : 1 + self.n_trials]
 
     @cached_property
     def _row_of_reading(self) -> Ints:
-        """Row (n, 3), in the residual space, of the readings of n pointings; 0 for unused readings (weight zero)."""
-        use = self.space.is_used_reading
+        """Index (n, 3) of the observation equation of each reading of n pointings; 0 for unused readings."""
+        use = self.residual_space.is_used_reading
         row_of_reading = np.zeros(use.shape, dtype=np.int64)
         row_of_reading[use] = np.arange(int(use.sum()))
         return row_of_reading
 
     def vectors_of_pointings(self, pointings: Ints) -> Floats32:
-        """Elements (p, 3, v) of the v vectors for the readings of p pointings; undefined for readings not in use."""
+        """Elements (p, 3, v) of the v probe vectors for the readings of p pointings; undefined for unused readings."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
-        """Products of k columns with the residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
+        """Products of k columns with residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of the columns with all v vectors.
+        They are the parts of `scores` (..., k, v), the products of k design columns with all v probe vectors.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
@@ -110,7 +117,7 @@ class NullEnsemble:
         Parameters
         ----------
         scores : (..., k, v) float
-            Products of the columns with all v vectors, for the empty model.
+            Products of the columns with all v vectors, without effects in the model.
         unprojected_gram : (..., k, k) float
             Products of the columns with each other, without projection.
         """
@@ -123,7 +130,7 @@ class NullEnsemble:
 
 
 def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of changes of m rows by u parameters; None for more than `MAX_DENSE_UNKNOWNS`."""
+    """Orthonormal basis (m, u) of changes of m observations by u parameters; None above `MAX_DENSE_UNKNOWNS`."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projector.basis if isinstance(projector, BasisResidualProjector) and is_small else None
@@ -147,5 +154,5 @@ def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residual
 
 
 def gram_of_rows(rows: Any) -> Any:
-    """Gram matrices (..., k, k) of the products of k rows with v elements each, `rows` (..., k, v)."""
+    """Gram matrices (..., k, k) of k rows with v elements each, `rows` (..., k, v): products of all pairs of rows."""
     return rows @ np.swapaxes(rows, -1, -2)

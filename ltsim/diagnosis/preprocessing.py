@@ -31,18 +31,19 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
-Readings with twice the declared noise do not reach this difference.
-"""
+Readings with twice the declared noise do not reach this difference."""
 MAX_SINGLE_OUTLIERS_PER_PLACE = 2
-"""Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
+"""Largest number of outliers of one observable at a station, or at a target, that count as single errors. More outliers
+may be the result of an effect."""
 
 
 def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
-    They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
-    are included only if any shift is gross, because a search that is linear in the effects cannot explain a gross one.
-    Then all shifts are included, because each was tested given the others. Changes of the noise are not included.
+    `selection` has the simple causes of the recording. Those that are corrected are blunders in rows of the recording,
+    and reference values that contradict the readings. Shifts of readings are included only if any shift is gross,
+    because a search that is linear in the effects cannot explain a gross shift. Then all shifts are included, because
+    each was tested given the others. Changed noise levels are not included.
     """
     fit, chosen = selection.fit, [c.hypothesis for c in selection.selected_hypotheses if c.is_certain]
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
@@ -69,7 +70,7 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
     They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
-    station or at one target, an effect may be the cause.
+    station or at one target, an effect may be the cause. `fit` is the adjustment with the outliers.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
     isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)

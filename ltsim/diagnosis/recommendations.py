@@ -12,7 +12,7 @@ CAUSE_KIND_BY_EFFECT_NAME = {
     "smr-offset": "reflector-radius",
     "target-moved": "target-moved",
 }
-"""Kind of cause whose recommended action is used after a finding, by the name of the catalogue effect."""
+"""Kind of the simple cause whose recommended action is used after a finding, by the name of the catalogue effect."""
 
 
 def inspection_action(finding: Finding) -> str:
@@ -40,9 +40,9 @@ def inspection_action(finding: Finding) -> str:
 
 
 def _confirmation_text(finding: Finding) -> str:
-    """Measurement that confirms the effect of a finding, after a semicolon.
+    """Measurement that confirms the effect of a finding, as text after a semicolon.
 
-    The text is empty for a law outside the catalogue, and if no measurement is needed.
+    The text is empty for an empirical law outside the catalogue, and if no measurement is needed.
     """
     if not finding.is_catalogued:
         return ""
@@ -54,5 +54,5 @@ def _confirmation_text(finding: Finding) -> str:
 
 
 def is_name_exchange(finding: Finding) -> bool:
-    """True if the names of two reflectors were exchanged."""
+    """True if the finding is that the names of two reflectors were exchanged."""
     return finding.effect == "target-swap" and len(finding.where.targets) == 2

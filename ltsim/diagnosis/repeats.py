@@ -10,7 +10,7 @@ from ltsim.physics.laws.variance import REPEATS_PER_FACE
 
 
 def normalised_sum_matrix_of_repeats(space: ResidualSpace, repetition_kind: str = REPEATS_PER_FACE) -> sp.csr_array:
-    """Matrix (g, m) that maps the m rows of the residual space to g scaled means of repeated readings.
+    """Matrix (g, m) that maps the m observations of a residual space to g scaled means of repeated readings.
 
     Repeated readings have the same observable, target and station. If `repetition_kind` is `REPEATS_PER_FACE`, they
     also have the same face. A scaled mean is a sum of readings divided by the square root of their number.
@@ -30,6 +30,7 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
     """Redundancy numbers (g,) of g means of repeated readings, from the redundancy numbers (m,) of m readings.
 
     The adjustment absorbs an error that repeated readings share in proportion to the sum of their leverages.
+    `averaging_matrix` (g, m) maps the readings to the means.
     """
     lost = (averaging_matrix > 0).astype(np.float64) @ (1.0 - redundancy)
     return np.maximum(1.0 - lost, MIN_CHECKED_REDUNDANCY)
@@ -38,8 +39,9 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
 def added_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
     """Added variance (g,) of g scaled means of repeated readings that share their errors.
 
-    Added variances are divided by the declared variance. `added_variance` is that of the first rows of the residual
-    space. The added variance of a mean is the sum over its readings, because the errors of these readings are equal.
+    Added variances are divided by the declared variance. `added_variance` is that of the first observations of the
+    residual space. The added variance of a mean is the sum over its readings, because the errors of these readings are
+    equal. `averaging_matrix` maps the readings to the means.
     """
     padded = np.append(added_variance, np.zeros(averaging_matrix.shape[1] - len(added_variance)))
     return np.maximum((averaging_matrix > 0).astype(np.float64) @ padded, 0.0)

@@ -1,4 +1,4 @@
-"""Entries of `diagnosis.json`, and data tables of a diagnosis."""
+"""Schema of `diagnosis.json`: its entries, and the data tables of a diagnosis."""
 
 from dataclasses import replace
 from typing import Self
@@ -15,7 +15,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 DIAGNOSED_TARGETS_TABLE = Table(
     "targets.csv",
-    "targets adjusted with the findings modelled",
+    "targets adjusted with the findings in the model",
     (
         *COORDINATE_COLUMNS,
         *number_columns(
@@ -23,9 +23,11 @@ DIAGNOSED_TARGETS_TABLE = Table(
         ),
     ),
 )
+"""Columns of `targets.csv`: coordinates, standard deviations, and changes against the ordinary adjustment."""
 BASELINE_RESIDUALS_TABLE = replace(
     RESIDUALS_TABLE, file="residuals_before.csv", description="residuals of the ordinary adjustment"
 )
+"""Columns of `residuals_before.csv`: residuals of the ordinary adjustment."""
 
 
 class FindingScope(Entry):
@@ -35,25 +37,25 @@ class FindingScope(Entry):
     """
 
     observables: tuple[str, ...] = ()
-    """Names of the observables: `distance`, `azimuth`, `elevation`."""
+    """Names of the changed observables: `distance`, `azimuth`, `elevation`."""
     stations: tuple[str, ...] = ()
     """Names of the stations where the effect acts."""
     targets: tuple[str, ...] = ()
     """Names of the targets where the effect acts."""
     instruments: tuple[str, ...] = ()
-    """Names of the instruments where the effect acts."""
+    """Names of the instruments whose set-ups the effect changes."""
     covariates: tuple[str, ...] = ()
     """Names of the covariates on which the effect depends, such as time, angles, or an additional column of the
     recording."""
 
 
 class FindingEvidence(Entry):
-    """Strength of the evidence for a finding."""
+    """Strength of the evidence for a finding: drop of chi-square, p-value and probabilities."""
 
     chi2_drop: Finite
     """Decrease of chi-square by the inclusion of the finding in the model."""
     parameters: int
-    """Number of parameters of the finding."""
+    """Number of estimated parameters of the finding."""
     p_value: OptionalFloat = None
     """p-value of the finding, corrected for the number of hypotheses of the complete search. It follows from n
     simulated recordings without effects, and is never below 1 / (n + 1)."""
@@ -69,12 +71,12 @@ class FindingEvidence(Entry):
 
 
 class EquivalentEffect(Entry):
-    """Other effect that cannot be excluded as the cause of a finding."""
+    """Equivalent of a finding: another effect that cannot be excluded as its cause."""
 
     effect: str
-    """Identifier of the effect in the catalogue."""
+    """Name of the other effect in the catalogue."""
     probability: Finite = 0.0
-    """Posterior probability that this effect is the cause."""
+    """Posterior probability that the other effect is the cause."""
 
 
 class ParameterEstimate(Entry):
@@ -100,24 +102,24 @@ class ResponseCurve(Entry):
     """Curve of the quantity that a finding changes, as a function of one covariate."""
 
     covariate: str
-    """Name of the covariate."""
+    """Name of the covariate over which the curve runs."""
     unit: str = ""
     """Unit of the values of the curve and of their standard deviations."""
     at: tuple[Finite, ...]
     """Values of the covariate in SI units, or in the unit of an additional column of the recording."""
     value: tuple[Finite, ...]
-    """Values of the curve at these values of the covariate, in `unit`."""
+    """Values of the changed quantity at the values of the covariate in `at`, in `unit`."""
     sigma: tuple[Finite, ...]
     """Standard deviations of the curve, in `unit`."""
 
 
 class Finding(Entry):
-    """Finding: an unmodelled cause that explains a part of the misfit."""
+    """Finding of a diagnosis: an unmodelled cause that explains a part of the misfit."""
 
     effect: str
-    """Identifier of the effect in the catalogue, or `unknown`."""
+    """Name of the effect in the catalogue, or `unknown`."""
     is_catalogued: bool = Field(default=True, alias="known")
-    """True for an effect of the catalogue."""
+    """True if the cause is an effect of the catalogue, false for an unknown effect."""
     is_corrected_before_search: bool = False
     """True if the readings were corrected by the finding, or were left out, before the global test and the search."""
     sentence: str = ""
@@ -125,7 +127,7 @@ class Finding(Entry):
     where: FindingScope = FindingScope()
     """Observables, stations, targets, instruments and covariates to which the finding is limited."""
     parameters: tuple[ParameterEstimate, ...] = ()
-    """Estimated parameters and shape constants of the effect."""
+    """Estimated parameters and shape parameters (period, time constant, onset time) of the effect."""
     target_shift_rms_um: OptionalFloat = None
     """Displacement of the targets if the finding is not modelled [um]: rms after a rigid least-squares fit."""
     evidence: FindingEvidence
@@ -139,7 +141,7 @@ class Finding(Entry):
     carrier: str = ""
     """Reading or instrument constant that an effect outside the catalogue changes."""
     driver: str = ""
-    """Regressor: the quantity or function on which an effect outside the catalogue depends."""
+    """Quantity or function of covariates (regressor) on which an effect outside the catalogue depends."""
     curve: ResponseCurve | None = None
     """Curve of the changed quantity over its covariate; null if it does not depend on a single covariate."""
 
@@ -150,7 +152,7 @@ class Finding(Entry):
 
 
 class GlobalTest(Entry):
-    """Global test of the ordinary adjustment."""
+    """Global test of the agreement of the ordinary adjustment with the declared noise."""
 
     statistic: OptionalFloat
     """Chi-square of the ordinary adjustment."""
@@ -160,7 +162,7 @@ class GlobalTest(Entry):
     """One-sided p-value of chi-square: probability of at least this chi-square if the model is correct. Reports display
     the two-sided p-value."""
     search_p_value: OptionalFloat = None
-    """p-value of the complete search for effects."""
+    """p-value of the complete search for effects, corrected for the number of hypotheses."""
 
 
 class Misfit(Entry):
@@ -186,31 +188,31 @@ class MisfitBeforeAfter(Entry):
 
 
 class UndetectableEntry(Entry):
-    """Effect that is not detectable in this network."""
+    """Entry of an effect that is not detectable in this network."""
 
     effect: str
-    """Identifier of the effect in the catalogue."""
+    """Name of the undetectable effect in the catalogue."""
     reason: str = ""
     """Reason why the effect is not detectable in these readings."""
     undetected_target_error_um: OptionalFloat = None
     """Error of the target coordinates [um] by a large but plausible size of the effect."""
     detectable_at_factor: OptionalFloat = None
-    """Smallest detectable size divided by a large but plausible size; null if no size is detectable."""
+    """Smallest detectable size of the effect divided by a large but plausible size; null if no size is detectable."""
     cure: str = ""
     """Measurement that would make the effect detectable."""
 
 
 class DetectableEntry(Entry):
-    """Smallest detectable size of an effect."""
+    """Entry of a detectable effect with its smallest detectable size."""
 
     effect: str
-    """Identifier of the effect in the catalogue."""
+    """Name of the detectable effect in the catalogue."""
     parameter: str = ""
     """Name of the parameter of the effect to which the size refers."""
     size: OptionalFloat
-    """Smallest detectable size, in `unit`."""
+    """Smallest detectable size of the parameter, in `unit`."""
     unit: str = ""
-    """Unit of the size."""
+    """Unit of the smallest detectable size."""
 
     @classmethod
     def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
@@ -222,7 +224,7 @@ class DetectableEntry(Entry):
 
 
 class InstrumentEntry(Entry):
-    """Ordinary calibration of one instrument."""
+    """Entry of one instrument with the results of its ordinary calibration."""
 
     name: str
     """Name of the instrument."""
@@ -247,6 +249,7 @@ FINDINGS_TABLE = Table(
         *text_columns(unit="unit of value and sigma"),
     ),
 )
+"""Columns of `findings.csv`: findings with one row per parameter."""
 FIT_TABLE = Table(
     "fit.csv",
     "misfit without and with the findings in the model",
@@ -258,9 +261,12 @@ FIT_TABLE = Table(
         Column("held_out_error", "normalised error of held-out readings", n_digits=3),
     ),
 )
+"""Columns of `fit.csv`: misfit without and with the findings in the model."""
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
     "effects that are not detectable in this network",
     model_columns(UndetectableEntry, undetected_target_error_um={"n_digits": 2}, detectable_at_factor={"n_digits": 2}),
 )
+"""Columns of `undetectable.csv`: effects that are not detectable in this network."""
 DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", model_columns(DetectableEntry))
+"""Columns of `detectable.csv`: smallest detectable sizes of effects."""

@@ -10,7 +10,10 @@ from ltsim.recordings.recording import OBSERVABLES
 
 
 def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
-    """Scope of an effect; `default_observables` are its observables if the effect itself does not restrict them."""
+    """Scope of an effect: observables, stations, targets, covariates.
+
+    `default_observables` are its observables if the effect itself does not restrict them.
+    """
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = default_observables or observables

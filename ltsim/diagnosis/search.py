@@ -1,7 +1,7 @@
-"""Model selection by forward, backward and exchange steps.
+"""Search for the effects of a model by forward, backward and exchange steps.
 
-All effects of the catalogue and all laws are screened given the model. The few with the largest evidence are evaluated
-without approximation: the evidence is integrated over shape constants on a grid around the optimum, and curves of laws
+All catalogue effects and empirical laws are screened given the model. The few with the largest evidence are evaluated
+without approximation: the evidence is integrated over shape parameters on a grid around the optimum, and curves of laws
 are compared with formulas. The hypothesis with the largest evidence is added to the model. Then each effect in the
 model is tested again given the others, and is replaced or removed if the evidence of the model increases. Pairs of
 effects are also exchanged for a single effect.
@@ -30,17 +30,17 @@ from ltsim.diagnosis.catalogue_designs import (
 from ltsim.diagnosis.evidence import (
     N_EXACTLY_EVALUATED_HYPOTHESES,
     coefficient_posterior,
-    ranked_indices,
+    indices_by_evidence,
 )
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_prior_odds_of_repetition
+from ltsim.diagnosis.forms import evaluate_law_forms, min_log_evidence_for_forms
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking, log_prior_odds_of_repetition
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, evaluate_law_batches
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.diagnosis.shape_constants import (
+from ltsim.diagnosis.shape_parameters import (
     estimates_averaged_over_shapes,
     integrate_over_shapes,
     region_centre_estimates,
@@ -54,31 +54,32 @@ MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
 of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
-"""Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
+"""Number of catalogue effects, and of empirical laws, that a step evaluates without approximation in a large
+network."""
 MAX_RANKED_LAWS = 400
-"""Largest number of laws in a ranking of hypotheses."""
+"""Largest number of empirical laws in a ranking of hypotheses."""
 MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
-"""Ratio of two standard deviations of a parameter, that of the posterior integrated over shape constants and that of
-the refit (Laplace's approximation), above which the integrated posterior is reported."""
+"""Ratio of the posterior sigma of a parameter, integrated over shape parameters, to the sigma of the refit (Laplace's
+approximation). Above this ratio the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
-    """Result of the screening of all hypotheses given a model."""
+    """Result of the screening of all hypotheses given the effects of a model."""
 
     effect_log_evidence: Floats
-    """Log evidence (h,) of each of h effects of the catalogue, without prior."""
+    """Log evidence (h,) of each of h variants of catalogue effects, without prior."""
     family_log_evidence: Floats
-    """Log evidence (families,) of each catalogue effect, averaged over its places and shapes, with prior."""
+    """Log evidence (families,) of each catalogue effect, averaged over its variants, with prior."""
     laws: list[ScreenedLaw]
-    """Laws with the largest evidence at each place (stations, targets or instruments)."""
-    statistic: float
-    """Test statistic: log of the summed evidence of all hypotheses."""
-    null_statistics: Floats
-    """Values (trials,) of the test statistic for each simulated recording (trial) of the null ensemble."""
+    """Empirical laws with the largest evidence at each place (stations, targets or instruments)."""
+    test_statistic: float
+    """Test statistic of the global test: log of the summed evidence of all hypotheses."""
+    null_test_statistics: Floats
+    """Values (trials,) of the test statistic for each simulated recording (trial) without effects."""
 
 
 class Searcher:
-    """Search for effects of the catalogue and laws in one residual space."""
+    """Search for catalogue effects and empirical laws in the residual space of one adjustment."""
 
     def __init__(
         self,
@@ -91,16 +92,15 @@ class Searcher:
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_designs` are the design matrices of another search on the same readings, which saves their
-        computation. If `tests_ordinary_constants`, changes of the constants of the ordinary calibration are hypotheses
-        too.
+        `catalogue_designs` are the design matrices of another search on the same readings, which saves computing time.
+        With `tests_ordinary_constants` the search also tests changes of the ordinary instrument constants.
         """
-        self.space = space
-        self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
+        self.residual_space = space
+        self.null_ensemble = NullEnsemble.from_residual_space(space, seed, n_trials)
         self.uses_fewer_evaluations = self.is_large_network
         if catalogue_designs is None:
             every = catalogue_candidate_effects(space.sightings, space.adjustment.recording.instruments)
-            catalogue_designs = CatalogueDesigns.from_space(
+            catalogue_designs = CatalogueDesigns.from_residual_space(
                 space,
                 [
                     effect
@@ -110,8 +110,8 @@ class Searcher:
             )
         self.catalogue_designs = catalogue_designs
         self.law_batches: list[LawBatch] = law_batches(space, tests_ordinary_constants=tests_ordinary_constants)
-        self.empty_model = Model.from_space((), space)
-        self._rankings: dict[frozenset[str], Ranking] = {}
+        self.empty_model = EffectModel.from_residual_space((), space)
+        self._rankings: dict[frozenset[str], HypothesisRanking] = {}
         self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.evidence_calculator = EvidenceCalculator(space)
         self.empty_model_screening = self._screening(self.empty_model)
@@ -123,59 +123,61 @@ class Searcher:
 
     @property
     def _n_exactly_evaluated(self) -> int:
-        """Number of effects of the catalogue, and of laws, that a ranking evaluates without approximation."""
+        """Number of catalogue effects, and of empirical laws, that a ranking evaluates without approximation."""
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without the f rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
+        """Search without f observation equations `rows` (f,), with as few evaluations as in large networks.
 
-        It is equivalent to a search in which a separate error of each of these rows is estimated. The laws with the
-        largest evidence of each kind are not evaluated, because that would take most of the time and hardly change
-        predictions. The screening still uses the Gram matrices of all rows.
+        It is equivalent to a search that also estimates an error of each of these observations. The best laws of each
+        kind are not evaluated, to save time. The screening still uses the Gram matrices of all observations.
         """
-        unit = np.zeros((self.space.n_equations, len(rows)))
+        unit = np.zeros((self.residual_space.n_equations, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
-        reduced.space, reduced.uses_fewer_evaluations = self.space.with_design_columns(unit), True
-        reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.whitened_residuals, self.empty_model.basis)
-        reduced.empty_model = Model.from_space((), reduced.space)
+        reduced.residual_space, reduced.uses_fewer_evaluations = self.residual_space.with_design_columns(unit), True
+        reduced.null_ensemble = self.null_ensemble.with_model(
+            reduced.residual_space.whitened_residuals, self.empty_model.projected_basis
+        )
+        reduced.empty_model = EffectModel.from_residual_space((), reduced.residual_space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
-        reduced.evidence_calculator = EvidenceCalculator(reduced.space)
+        reduced.evidence_calculator = EvidenceCalculator(reduced.residual_space)
         reduced.empty_model_screening = reduced._screening(reduced.empty_model)
         return reduced
 
-    def ranking(self, conditioning_model: Model) -> Ranking:
-        """Ranking of all hypotheses given a model: all are screened, and the most probable are evaluated exactly."""
-        key = frozenset(h.key for h in conditioning_model.hypotheses)
+    def ranking(self, conditioning_model: EffectModel) -> HypothesisRanking:
+        """Ranking of all hypotheses given a model: all are screened, the most probable are evaluated exactly."""
+        key = frozenset(h.effect_key for h in conditioning_model.hypotheses)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(conditioning_model)
         return self._rankings[key]
 
-    def _screening(self, conditioning_model: Model) -> ScreeningResult:
-        """Screening of all catalogue effects and laws given a model."""
+    def _screening(self, conditioning_model: EffectModel) -> ScreeningResult:
+        """Screening of all catalogue effects and empirical laws given the effects of a model."""
         probe = (
-            self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.basis)
+            self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.projected_basis)
             if conditioning_model.hypotheses
             else self.null_ensemble
         )
         values, null_values, self.catalogue_designs = self.catalogue_designs.screen(probe)
-        families = self.catalogue_designs.log_evidence_by_family(values) + self.catalogue_designs.log_family_prior
+        families = self.catalogue_designs.log_evidence_by_family(values) + self.catalogue_designs.log_prior_by_family
         laws: list[ScreenedLaw] = []
         statistic, null = (
             log_sum_exp(families),
-            log_sum_exp(null_values + self.catalogue_designs.log_family_prior[:, None]),
+            log_sum_exp(null_values + self.catalogue_designs.log_prior_by_family[:, None]),
         )
         for hits_here, law_total, law_null_values in evaluate_law_batches(self.law_batches, probe):
             laws += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_null_values)
         return ScreeningResult(values, families, laws, float(statistic), null)
 
-    def _compute_ranking(self, conditioning_model: Model) -> Ranking:
+    def _compute_ranking(self, conditioning_model: EffectModel) -> HypothesisRanking:
+        """Ranking of all hypotheses given a model, which `ranking` caches."""
         values, families, laws, _, _ = (
             self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
         hypotheses = self._law_hypotheses(laws, conditioning_model)
-        for i, family in enumerate(ranked_indices(families, MAX_LOG_EVIDENCE_ROUNDING_ERROR)):
+        for i, family in enumerate(indices_by_evidence(families, MAX_LOG_EVIDENCE_ROUNDING_ERROR)):
             hypotheses.append(
                 self._best_hypothesis_of_family(
                     int(family),
@@ -189,28 +191,28 @@ class Searcher:
             replace(h, log_evidence=h.log_evidence + log_prior_odds_of_repetition(h, conditioning_model.hypotheses))
             for h in hypotheses
         ]
-        hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
-        return Ranking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
+        hypotheses = [hypotheses[i] for i in indices_by_evidence(np.array([h.log_evidence for h in hypotheses]))]
+        return HypothesisRanking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
 
     def _best_hypothesis_of_family(
         self,
         family_index: int,
         effect_log_evidence: Floats,
         family_log_evidence: float,
-        conditioning_model: Model,
+        conditioning_model: EffectModel,
         *,
         is_exact: bool,
     ) -> Hypothesis:
-        """Most probable place and shape of a catalogue effect, with its log evidence averaged over places and shapes.
+        """Most probable variant of a catalogue effect, with its log evidence averaged over all variants.
 
-        Unless `is_exact`, they are results of the screening: `effect_log_evidence` (h,) of all h effects, and
-        `family_log_evidence` of this catalogue effect.
+        Variants differ in stations, targets and shape parameters. Unless `is_exact`, the results are those of the
+        screening: `effect_log_evidence` (h,) of all h variants, and `family_log_evidence` of this effect.
         """
         designs = self.catalogue_designs
         indices = np.flatnonzero(designs.family_indices == family_index)
-        indices = indices[ranked_indices(effect_log_evidence[indices], MAX_LOG_EVIDENCE_ROUNDING_ERROR)]
-        prior = float(designs.log_family_prior[family_index] - np.log(len(indices)))
-        best = Hypothesis(designs.effects[indices[0]], prior, family_log_evidence, designs.families[family_index])
+        indices = indices[indices_by_evidence(effect_log_evidence[indices], MAX_LOG_EVIDENCE_ROUNDING_ERROR)]
+        prior = float(designs.log_prior_by_family[family_index] - np.log(len(indices)))
+        best = Hypothesis(designs.effects[indices[0]], prior, family_log_evidence, designs.family_names[family_index])
         if not is_exact:
             return best
         for i in designs.local_optima(indices, effect_log_evidence):
@@ -221,16 +223,15 @@ class Searcher:
                 best = replace(best, effect=effect, log_evidence=whole)
         return best
 
-    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: Model) -> list[Hypothesis]:
-        """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all functional forms.
+    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: EffectModel) -> list[Hypothesis]:
+        """Hypotheses of screened empirical `laws`; those with the largest evidence are evaluated in all forms.
 
-        In small networks the most probable law of each response and each kind of regressor is evaluated in all forms
-        too. The screening underestimates some kinds: a local search for the place of a region can increase the log
-        evidence several times.
+        In small networks the most probable law of each response and kind of regressor is evaluated in all forms too,
+        because the screening underestimates some kinds: a local search for a region can increase the evidence much.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_LOG_EVIDENCE_ROUNDING_ERROR)
+        order = indices_by_evidence(np.array([h.log_evidence for h in laws]), MAX_LOG_EVIDENCE_ROUNDING_ERROR)
         laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
         for hit in laws:
             place, driver = hit.place, hit.regressor.with_field_centred_on(hit.place.targets)
@@ -238,10 +239,10 @@ class Searcher:
             key = (hit.response.name, driver.kind, driver.covariate_names_in_files, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._n_exactly_evaluated or not (self.uses_fewer_evaluations or kind in kinds)
-            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
+            if chosen and key not in evaluated and hit.log_evidence > min_log_evidence_for_forms(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
-                entries += evaluate_forms(
+                entries += evaluate_law_forms(
                     self.evidence_calculator,
                     law,
                     hit.log_prior,
@@ -253,16 +254,18 @@ class Searcher:
         return entries
 
     def estimates(
-        self, hypothesis: Hypothesis, reduced_model: Model, refit_estimates: Sequence[ParameterEstimate]
+        self, hypothesis: Hypothesis, reduced_model: EffectModel, refit_estimates: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the parameters and shape constants of a hypothesis.
+        """Estimates of the parameters and shape parameters of a hypothesis.
 
-        They are the estimates of the refit, or means over all values of the shape constants if these means have much
-        larger standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
+        They are `refit_estimates`, or means over all values of the shape parameters if these means have much larger
+        standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
-            sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, reduced_model))
+            sizes = displayed_sizes(
+                effect, self.residual_space.sightings, *self.law_coefficients(effect, reduced_model)
+            )
             return (
                 *(ParameterEstimate(**size._asdict()) for size in sizes),
                 *region_centre_estimates(self.evidence_calculator, effect, reduced_model),
@@ -275,40 +278,40 @@ class Searcher:
             estimates.append(marginal["time"])
         return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
-    def law_coefficients(self, law: EmpiricalLaw, reduced_model: Model) -> tuple[Floats, Floats]:
-        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the effects of a model."""
+    def law_coefficients(self, law: EmpiricalLaw, reduced_model: EffectModel) -> tuple[Floats, Floats]:
+        """Posterior mean (k,) and covariance (k, k) of k coefficients of an empirical law, given `reduced_model`."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
-    def model_with(self, hypotheses: Sequence[Hypothesis]) -> Model:
-        """Model with the given hypotheses."""
+    def model_with(self, hypotheses: Sequence[Hypothesis]) -> EffectModel:
+        """Model (set of effects, with their residuals) with the given hypotheses."""
         if not hypotheses:
             return self.empty_model
         designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)
-        return Model(tuple(hypotheses), designs, norms, self.space.whitened_residuals)
+        return EffectModel(tuple(hypotheses), designs, norms, self.residual_space.whitened_residuals)
 
-    def model_without(self, model: Model, effect_index: int) -> Model:
+    def model_without(self, model: EffectModel, effect_index: int) -> EffectModel:
         """Model without the effect that has the index `effect_index`."""
         return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected design matrix (m, k), k columns on m rows, of a hypothesis, and norms (k,) before projection."""
-        key = hypothesis.key
+        """Projected design matrix (m, k) of a hypothesis with k columns, and norms (k,) before the projection."""
+        key = hypothesis.effect_key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
-            self._projected_designs[key] = self.space.project(whole), self.space.norms_without_centring(whole)
+            space = self.residual_space
+            self._projected_designs[key] = space.project(whole), space.norms_without_centring(whole)
         self._projected_designs.move_to_end(key)
         while sum(rows.size for rows, _ in self._projected_designs.values()) > MAX_TEMPORARY_ENTRIES:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_effects(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
+    def select_effects(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> EffectModel:
         """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
-        The search begins with the hypotheses `start_hypotheses` in the model. With `requires_effect` the result has at
-        least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
-        again with the most probable hypothesis that has few coefficients. The model with the larger evidence is
-        selected.
+        The search begins with `start_hypotheses` in the model. With `requires_effect` the result has at least one
+        effect. A curve with many coefficients can imitate several effects. If the result has such a curve, the search
+        is repeated from the most probable simple hypothesis, and the model with more evidence is selected.
         """
         begin = self.model_after_exchanges(self.model_with(start_hypotheses))
         best_model = self._forward_selection(begin, requires_effect=requires_effect)
@@ -323,18 +326,17 @@ class Searcher:
             best_model = max(models, key=lambda m: m.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(m.effects))
         return self._pruned_and_renamed_model(best_model)
 
-    def model_by_forward_steps(self, rival_log_evidence: float) -> Model:
+    def model_by_forward_steps(self, rival_log_evidence: float) -> EffectModel:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
-        The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
-        end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased the
-        evidence as much as the last effect did.
+        The steps end when the log evidence exceeds `rival_log_evidence`, that of an alternative. They also end when it
+        could not exceed it even if all further effects gained as much evidence as the last effect.
         """
         return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)
 
     def _forward_selection(
-        self, model: Model, *, requires_effect: bool, rival_log_evidence: float | None = None
-    ) -> Model:
+        self, model: EffectModel, *, requires_effect: bool, rival_log_evidence: float | None = None
+    ) -> EffectModel:
         """Model after a forward selection that starts with `model`; with `requires_effect` it has at least one effect.
 
         Without `rival_log_evidence` the effects in the model are tested again after each step.
@@ -358,7 +360,7 @@ class Searcher:
                 break
         return self.model_after_exchanges(model) if again and self.uses_fewer_evaluations else model
 
-    def _pruned_and_renamed_model(self, model: Model) -> Model:
+    def _pruned_and_renamed_model(self, model: EffectModel) -> EffectModel:
         """Model without the effects that its other effects explain, and with the most probable name of each effect."""
         for hypothesis in model.hypotheses[::-1]:
             others = self.model_without(model, model.hypotheses.index(hypothesis))
@@ -370,7 +372,7 @@ class Searcher:
                 model = self.model_with((*others.hypotheses, better))
         return model
 
-    def model_after_exchanges(self, model: Model) -> Model:
+    def model_after_exchanges(self, model: EffectModel) -> EffectModel:
         """Model after backward and exchange steps, in which its effects are replaced, removed or merged."""
         for turn in range(2):
             before = model.penalised_log_evidence
@@ -381,7 +383,7 @@ class Searcher:
                 break
         return model
 
-    def _exchange_step(self, model: Model, n_dropped: int) -> Model:
+    def _exchange_step(self, model: EffectModel, n_dropped: int) -> EffectModel:
         """Model in which `n_dropped` effects at a time are replaced by one, or removed, if the evidence increases."""
         for dropped in combinations(range(len(model.hypotheses)), n_dropped):
             if len(model.hypotheses) < 2 or max(dropped) >= len(model.hypotheses):
@@ -393,7 +395,7 @@ class Searcher:
         return model
 
 
-def _best_model(models: Sequence[Model]) -> Model:
+def _best_model(models: Sequence[EffectModel]) -> EffectModel:
     """Model with the largest log evidence; the first one if several are equal."""
     most = max(model.penalised_log_evidence for model in models)
     return next(model for model in models if model.penalised_log_evidence >= most - NORMAL_EQUATIONS_TOLERANCE)

@@ -14,8 +14,8 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.evidence import WIDE_PRIOR_SIGMA_FACTOR, log_restricted_likelihood
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.instruments import ConstantContradiction
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
+from ltsim.diagnosis.instruments import InstrumentConstantContradiction
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses, with_declared_centring
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
@@ -38,24 +38,25 @@ class SelectionState:
     baseline_adjustment: Adjustment
     """Ordinary adjustment, from which all other adjustments start."""
     is_used_reading: Bools
-    """Flags (n, 3) of the readings that are used, for n pointings."""
+    """Flags (n, 3) of the readings of n pointings that are used."""
     seed: int
     """Seed of the random draws of simulated recordings."""
     false_alarm_rate: float | None
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool
-    """True if changes of the constants of the ordinary calibration are also hypotheses."""
+    """True if changes of the instrument constants of the ordinary calibration are also hypotheses."""
     effects_of_uncorrected_causes: tuple[CandidateEffect, ...]
     """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
     larger than declared."""
     reading_sigmas: Floats
-    """Standard deviations (n, 3) of the readings of n pointings, with the selected changes of the noise."""
-    space: ResidualSpace
-    """Residual space of the present adjustment."""
-    noise_changes: tuple[NoiseHypothesis, ...] = ()
-    """Selected changes of the noise."""
-    earlier_designs: CatalogueDesigns | None = None
-    """Design matrices of the most recent search in an earlier state; None before the first search."""
+    """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses."""
+    residual_space: ResidualSpace
+    """Residual space of the adjustment with the present weights."""
+    selected_noise_hypotheses: tuple[NoiseHypothesis, ...] = ()
+    """Noise hypotheses that have been selected."""
+    earlier_catalogue_designs: CatalogueDesigns | None = None
+    """Design matrices of the catalogue effects from the latest search in an earlier state; None before the first
+    search."""
 
     @classmethod
     def from_adjustment(
@@ -68,7 +69,10 @@ class SelectionState:
         tests_ordinary_constants: bool = True,
         effects_of_uncorrected_causes: tuple[CandidateEffect, ...] = (),
     ) -> SelectionState:
-        """State before the first step of the selection, from the ordinary adjustment and the attributes of a state."""
+        """State of the model selection before its first step, from the ordinary adjustment.
+
+        The other arguments are attributes of the state.
+        """
         return cls(
             adjustment,
             is_used_reading,
@@ -84,52 +88,60 @@ class SelectionState:
     def searcher(self) -> Searcher:
         """Search in the residual space of the present adjustment.
 
-        It uses the design matrices of an earlier search, with other weights, if the rows of the residual space are the
-        same. Only the first search of a recording has a p-value.
+        It uses the design matrices of an earlier search, with other weights, if the observation equations are the same.
+        Only the first search of a recording has a p-value.
         """
-        earlier = self.earlier_designs
-        is_reusable = earlier is not None and earlier.n_equations == self.space.n_equations
+        earlier = self.earlier_catalogue_designs
+        is_reusable = earlier is not None and earlier.n_equations == self.residual_space.n_equations
         return Searcher(
-            self.space,
+            self.residual_space,
             self.seed,
-            n_simulated_recordings(self.space, self.false_alarm_rate)
+            n_simulated_recordings(self.residual_space, self.false_alarm_rate)
             if earlier is None and self.false_alarm_rate
             else 0,
-            catalogue_designs=earlier.with_weights_of(self.space) if earlier is not None and is_reusable else None,
+            catalogue_designs=earlier.with_weights_of(self.residual_space)
+            if earlier is not None and is_reusable
+            else None,
             tests_ordinary_constants=self.tests_ordinary_constants,
         )
 
     @cached_property
     def noise_hypotheses(self) -> NoiseHypothesisSet:
-        """Hypotheses of changes of the noise in the residual space of the present adjustment."""
-        return self._noise_hypotheses(self.space)
+        """Noise hypotheses in the residual space of the present adjustment."""
+        return self._noise_hypotheses(self.residual_space)
 
     @property
-    def empty_model(self) -> Model:
+    def empty_model(self) -> EffectModel:
         """Model without effects."""
-        return Model.from_space((), self.space)
+        return EffectModel.from_residual_space((), self.residual_space)
 
     @property
     def recording(self) -> Recording:
-        """Recording without blunders, whose set-up declares the centring errors among the selected noise changes."""
-        return with_declared_centring(self.baseline_adjustment.recording, self.noise_changes)
+        """Recording without blunders, whose set-up declares the centring errors among the selected noise hypotheses."""
+        return with_declared_centring(self.baseline_adjustment.recording, self.selected_noise_hypotheses)
 
     def refit(
-        self, effects: Sequence[CandidateEffect], sigma: Floats, noise_changes: Sequence[NoiseHypothesis] | None = None
+        self,
+        effects: Sequence[CandidateEffect],
+        sigma: Floats,
+        selected_noise_hypotheses: Sequence[NoiseHypothesis] | None = None,
     ) -> Refit:
         """Nonlinear adjustment with effects in the model and standard deviations `sigma` (n, 3) of n pointings.
 
-        Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior standard
-        deviation of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
-        combinations. The centring errors among `noise_changes`, by default among all selected ones, are in the model.
+        Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
+        of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
+        combinations. Centring errors among `selected_noise_hypotheses` (by default those of the state) are in the
+        model.
         """
-        noise_changes = self.noise_changes if noise_changes is None else noise_changes
-        if not (effects or noise_changes):
+        selected_noise_hypotheses = (
+            self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
+        )
+        if not (effects or selected_noise_hypotheses):
             return Refit(self.baseline_adjustment, (), ())
         old = self.baseline_adjustment
         adjusted = partial(
             adjust_from_state,
-            with_declared_centring(old.recording, noise_changes),
+            with_declared_centring(old.recording, selected_noise_hypotheses),
             old.construction,
             sigma=sigma,
             reading_mask=self.is_used_reading,
@@ -138,13 +150,19 @@ class SelectionState:
         )
 
         def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-            """Adjustment with effects in addition to the causes of the baseline."""
+            """Adjustment with `effects` in addition to the simple causes of the ordinary adjustment.
+
+            It starts from the unknowns `start_state`.
+            """
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def with_widened_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
-        """State after an adjustment without the prior of the constants that contradict their reference."""
+    def with_widened_priors(self, contradictions: Sequence[InstrumentConstantContradiction]) -> SelectionState:
+        """State of the selection after an adjustment without the prior of the contradicting instrument constants.
+
+        `contradictions` are the instrument constants that contradict their reference.
+        """
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for contradiction in contradictions:
@@ -163,144 +181,155 @@ class SelectionState:
         return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
     def _with_attributes(self, **attributes: object) -> SelectionState:
-        """Copy of the state with other attributes, and with the design matrices of its search, if there was one."""
+        """Copy of the selection state with other attributes, and with the design matrices of its search, if any."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
-        designs = self.earlier_designs if searcher is None else searcher.catalogue_designs
-        return replace(self, earlier_designs=designs, **attributes)  # type: ignore[arg-type]
+        designs = self.earlier_catalogue_designs if searcher is None else searcher.catalogue_designs
+        return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
-        """State with the residual space of an adjustment without effects, with the present noise."""
+        """State of the selection with the residual space of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
-        return self._with_attributes(space=ResidualSpace.from_adjustment(adjustment))
+        return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 
-    def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of a log evidence and the most probable noise change of each kind, given a model.
+    def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
+        """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
         They are sorted by decreasing evidence.
         """
-        redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        ranked = self.noise_hypotheses.ranked_noise_changes(model.residual, redundancy, model.basis)
-        for gain, hypothesis in log_evidence_and_centring_hypotheses(self.space.with_effects(model.effects)):
-            ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family), hypothesis))
+        redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
+        ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)
+        for gain, hypothesis in log_evidence_and_centring_hypotheses(self.residual_space.with_effects(model.effects)):
+            ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family_name), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])
 
-    def with_noise_change(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State after the addition of a change of the noise, whose sizes are estimated with `effects` in the model.
+    def with_noise_hypothesis(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
+        """State of the selection after the addition of a noise hypothesis, estimated with `effects` in the model.
 
-        If an equal change was selected before, its sizes are increased. All changes of the noise are then estimated
-        together.
+        If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
+        estimated together.
         """
-        new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.sigma, hypothesis)
-        if all(change.effect != new_change.effect for change in self.noise_changes):
-            return self._with_noise_changes((*self.noise_changes, new_change)).with_estimated_noise(effects)
-        noise_changes = [
+        new_change = with_estimated_sizes(
+            self.residual_space.with_effects(effects), self.residual_space.sigma, hypothesis
+        )
+        if all(change.effect != new_change.effect for change in self.selected_noise_hypotheses):
+            return self._with_selected_noise_hypotheses(
+                (*self.selected_noise_hypotheses, new_change)
+            ).with_estimated_noise(effects)
+        selected_noise_hypotheses = [
             change if change.effect != new_change.effect else change.sum_with(new_change)
-            for change in self.noise_changes
+            for change in self.selected_noise_hypotheses
         ]
-        return self._with_noise_changes(noise_changes).with_estimated_noise(effects)
+        return self._with_selected_noise_hypotheses(selected_noise_hypotheses).with_estimated_noise(effects)
 
-    def _with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> SelectionState:
-        """State with other changes of the noise and the standard deviations of readings that follow from them."""
-        changed = self._with_attributes(noise_changes=tuple(noise_changes))
-        return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
+    def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
+        """State of the selection with other noise hypotheses, and the standard deviations that follow from them."""
+        changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
+        return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
 
     @property
     def log_evidence_of_noise(self) -> float:
-        """Log evidence of the selected changes of the noise without effects, up to a constant of the recording.
+        """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
 
-        It is the restricted log likelihood of the present adjustment, plus for each change its log evidence minus its
-        log likelihood ratio at the time of its selection.
+        It is the restricted log likelihood of the present adjustment, plus a term for each hypothesis. The term is its
+        log evidence minus its log likelihood ratio at the time of its selection.
         """
-        return log_restricted_likelihood(self.space.adjustment) + sum(
-            n.log_prior_times_occam_factor for n in self.noise_changes
+        return log_restricted_likelihood(self.residual_space.adjustment) + sum(
+            n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses
         )
 
     def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
-        """Log evidence of hypotheses together with the selected changes of the noise.
+        """Log evidence of effects together with the selected noise hypotheses.
 
-        The changes of the noise are estimated with the hypotheses in the model. The result is comparable with
-        `log_evidence_of_noise`, the log evidence without the hypotheses.
+        The noise is estimated with the effects of `hypotheses` in the model. The result is comparable with
+        `log_evidence_of_noise`, the log evidence without these effects.
         """
         state = self.with_estimated_noise([h.effect for h in hypotheses])
-        return state.log_evidence_of_noise + Model.from_space(hypotheses, state.space).penalised_log_evidence
+        return (
+            state.log_evidence_of_noise
+            + EffectModel.from_residual_space(hypotheses, state.residual_space).penalised_log_evidence
+        )
 
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with variance components estimated by REML (Foerstner 1979), with `effects` in the model.
+        """State of the selection with variance components estimated by REML (Foerstner 1979).
 
-        Its residual space is that of an adjustment with the estimated noise.
+        `effects` are in the model. The residual space is that of an adjustment with the estimated noise.
         """
         return self._with_estimated_variances(effects)._with_space_of_refit()
 
     def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with variance components as in `with_estimated_noise`, but with the present residual space."""
+        """State of the selection with estimated variance components, but with the present residual space.
+
+        They are estimated as in `with_estimated_noise`, with `effects` in the model.
+        """
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):
             estimates = state._noise_estimates(effects)
-            state = state._with_noise_changes(
+            state = state._with_selected_noise_hypotheses(
                 [
                     replace(
                         estimate,
                         chi2_drop=change.chi2_drop,
                         log_evidence=change.log_evidence + estimate.log_occam_factor - change.log_occam_factor,
                     )
-                    for estimate, change in zip(estimates, state.noise_changes, strict=True)
+                    for estimate, change in zip(estimates, state.selected_noise_hypotheses, strict=True)
                 ]
             )
         return state
 
     def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
-        """Selected changes of the noise with new estimates of their sizes, with `effects` in the model.
+        """Selected noise hypotheses with new estimates of their sizes, with `effects` in the model.
 
-        The sizes of each change are estimated given the other changes.
-
-        Centring errors are estimated in an adjustment without centring errors. In an adjustment with them, the
-        displacements have absorbed part of an effect.
+        The sizes of each hypothesis are estimated given the other hypotheses. Centring errors are estimated in an
+        adjustment without centring errors. In an adjustment with them, the displacements have absorbed part of an
+        effect.
         """
         space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
         estimates = list[NoiseHypothesis]()
-        for i, change in enumerate(self.noise_changes):
-            others, residual_space = [*estimates, *self.noise_changes[i + 1 :]], space
+        for i, change in enumerate(self.selected_noise_hypotheses):
+            others, residual_space = [*estimates, *self.selected_noise_hypotheses[i + 1 :]], space
             if isinstance(change.effect, CentringVariance):
                 adjustment = self.refit((), self.reading_sigmas, others).adjustment
                 residual_space = ResidualSpace.from_adjustment(adjustment).with_effects(effects)
-            estimates.append(with_estimated_sizes(residual_space, self._sigmas_with_noise_changes(others), change))
+            estimates.append(with_estimated_sizes(residual_space, self._sigmas_with_noise_hypotheses(others), change))
         return estimates
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
-        Each selected change of the noise is averaged over its alternatives, given the others.
+        Each selected noise hypothesis is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
-        for change in (n for n in self.noise_changes if not isinstance(n.effect, CentringVariance)):
-            others = self._sigmas_with_noise_changes([n for n in self.noise_changes if n is not change])
+        for change in (n for n in self.selected_noise_hypotheses if not isinstance(n.effect, CentringVariance)):
+            others = self._sigmas_with_noise_hypotheses([n for n in self.selected_noise_hypotheses if n is not change])
             space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
             factors *= self._noise_hypotheses(space).expected_variance_factors()
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
-        """Hypotheses of changes of the noise in a residual space."""
-        quieter = not any(getattr(change.effect, "shared_error_repetition", "") for change in self.noise_changes)
-        return NoiseHypothesisSet.from_space(
-            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
+        """Noise hypotheses in the residual space `space`."""
+        quieter = not any(
+            getattr(change.effect, "shared_error_repetition", "") for change in self.selected_noise_hypotheses
+        )
+        return NoiseHypothesisSet.from_residual_space(
+            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_noise_below_declared=quieter
         )
 
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State with new estimates of the noise, with `effects` in the model.
+        """State of the selection with new estimates of the noise, with `effects` in the model.
 
-        Changes of the noise without a positive log evidence are removed.
+        Noise hypotheses without a positive log evidence are removed.
         """
         state = self._with_estimated_variances(effects)
         supported = [
             n
-            for n, change in zip(state.noise_changes, state._noise_estimates(effects), strict=True)
+            for n, change in zip(state.selected_noise_hypotheses, state._noise_estimates(effects), strict=True)
             if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
-        return state._with_noise_changes(supported).with_estimated_noise(effects)
+        return state._with_selected_noise_hypotheses(supported).with_estimated_noise(effects)
 
-    def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) of the readings of n pointings with the given changes of the noise."""
+    def _sigmas_with_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Floats:
+        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses."""
         sigma, sightings = self.recording.reading_sigmas(), self.baseline_adjustment.sightings
-        for change in noise_changes:
+        for change in selected_noise_hypotheses:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))
         return sigma

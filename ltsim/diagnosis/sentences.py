@@ -22,7 +22,7 @@ COVARIATE_TEXTS = {
     "place": "the position in the hall",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Phrases for users in place of names of covariates that a sentence does not explain."""
+"""Phrases for users in place of the names of covariates that need an explanation."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
@@ -76,10 +76,10 @@ def catalogue_effect_sentence(
     *,
     p_same_scope: float | None = None,
 ) -> str:
-    """Sentences on an effect of the catalogue: its size, place and usual cause, and two probabilities.
+    """Sentences on a finding that is a catalogue effect: its size, place and usual cause, and two probabilities.
 
     `probability` is the probability of this effect, and `p_same_scope` the probability of any effect with the same
-    scope.
+    scope (observables, place, covariates).
     """
     entry = catalogue_entry(find_effect(effect_name))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
@@ -95,7 +95,7 @@ def catalogue_effect_sentence(
     located = (
         ""
         if p_same_scope is None
-        else f"An effect like this {place_phrase} has a probability of {percent_text(p_same_scope)}. "
+        else f"An effect acts {place_phrase} with a probability of {percent_text(p_same_scope)}, whatever its cause. "
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE else f"Perhaps {lower_title}"
@@ -105,9 +105,10 @@ def catalogue_effect_sentence(
 def law_sentence(
     scope: FindingScope, parameters: Sequence[ParameterEstimate], p_same_scope: float, law_text: str
 ) -> str:
-    """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
+    """Sentences on an empirical law outside the catalogue: changed quantity, regressor, place, size, probability.
 
-    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope.
+    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
+    (observables, place, covariates).
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""
@@ -122,15 +123,19 @@ def law_sentence(
         )
     return (
         f"The {response}{place_phrase}{verb}{regressor}{size_phrase}. "
-        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_same_scope)}."
+        "The catalogue does not contain this effect. "
+        f"An effect acts on these readings with a probability of {percent_text(p_same_scope)}, whatever its form."
     )
 
 
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
-    """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
+    """Sentences on noise that differs from the declared noise in a way outside the catalogue: place and covariates.
+
+    `noise_text` is the description of this noise.
+    """
     covariates = names_text([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
-    dependence = f" It depends on {covariates}." if covariates else ""
-    present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
+    dependence = f" The noise depends on {covariates}." if covariates else ""
+    present = f"The noise differs from the declared noise{_place_suffix(scope)}, and no catalogue effect describes it."
     return f"{present}{dependence} The most probable description is {noise_text}."
 
 
@@ -140,7 +145,7 @@ def _place_suffix(scope: FindingScope) -> str:
     return f" {place_text(scope)}" if confined else ""
 
 
-def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
+def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the significant instrument constants of all instruments, the most significant first.
 
     If only a combination of constants is determined, it has the name of its first constant. The value is then an
@@ -165,8 +170,7 @@ def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[
 
 ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
 """Replacement of each unit of time, for a recording without a clock: unit ``rows`` and a factor on the value. One row
-of the recording then stands for one second.
-"""
+of the recording then stands for one second."""
 
 
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
@@ -195,9 +199,10 @@ def diagnosis_summary(
 ) -> str:
     """Summary of a diagnosis in a few sentences.
 
-    `p_value` is the p-value of the global test, `misfit_before` and `misfit_after` are the misfits without and with the
-    findings in the model, `noise_origin` is `declared` or `assumed`, and `n_withheld` is the number of effects in the
-    model that are not reported. `is_contradicted` is true if held-out readings contradict the effects in the model.
+    `verdict` is `consistent` or `mismatch`, and `p_value` the p-value of the global test. `misfit_before` and
+    `misfit_after` are the misfits without and with the findings in the model. `noise_origin` is `declared` or
+    `assumed`. `n_withheld` is the number of effects in the model that are not reported. `is_contradicted` is true if
+    held-out readings contradict the effects in the model.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
@@ -214,7 +219,7 @@ def diagnosis_summary(
             "but no cause is probable."
         )
     first_finding = findings[0]
-    suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
+    suffix = f" Further findings: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = [effect_title_in_sentence(e.effect) for e in first_finding.equivalents]
     open_ = f" This recording cannot exclude another cause: {' or '.join(others)}." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"

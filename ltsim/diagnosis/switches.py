@@ -1,4 +1,4 @@
-"""Switches: laws with a constant effect that acts only at some times, or only in some intervals of a covariate.
+"""Switches: empirical laws that act only at some times, or only in some intervals of a covariate, with a constant size.
 
 Given edges divide the covariate into spans. A search toggles intervals of neighbouring spans, from on to off or from
 off to on, while the evidence increases. Let H be the Gram matrix of the spans, o their states (0 or 1), and d = 1 - 2 o
@@ -14,9 +14,9 @@ import numpy as np
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_most_evidence, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS_IN_REGION, wave_regressors
@@ -24,35 +24,36 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched law turns on or off: for a law with a region of the hall
-(True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
-steps."""
+"""Smallest number of times within set-ups at which a switched empirical law turns on or off: for a law with a region of
+the hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form
+with steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched law that acts on one target turns on or off. With one or two such times
-the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times at which a switched empirical law that acts on one target turns on or off. With one or two
+such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
-"""Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
+"""Largest number of steps and ramps of an empirical law, and of intervals of the covariate whose state is toggled."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals that a search toggles after the last increase of the evidence, before it stops."""
+"""Number of intervals of the covariate that a search toggles after the last increase of the evidence, before it
+stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a switched regressor, divided by its mean square without the switch. At this limit the law
-acts on about one pointing in a thousand."""
+"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the
+switch. At this limit an empirical law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
-    """Gram matrix and score of a law with separate coefficients in each of S spans."""
+    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate."""
 
     gram: Floats
     """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans."""
     score: Floats
     """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans."""
     mean_square_contributions: Floats
-    """Contribution (S,) of each of S spans to the mean square of the regressor."""
+    """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
+    """Number of waves of the same covariate that the search tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
     of the law multiplied by the number of waves.
@@ -67,16 +68,17 @@ def switched_forms(
     calculator: EvidenceCalculator,
     law: EmpiricalLaw,
     log_prior: float,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     *,
     refines_region: bool = True,
 ) -> list[Hypothesis]:
-    """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
+    """Forms of an empirical law that act only in some spans of its covariate; empty if the law has no such forms.
 
+    `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
     false.
     """
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
     if len(edges) < N_TOGGLED_INTERVALS_AFTER_MAXIMUM:
         return []
@@ -99,29 +101,39 @@ def switched_forms(
 
 
 def _forms_with_formula_as_second_factor(
-    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve."""
+    """List of an empirical law with a switch in which a formula replaces the curve in the second factor.
+
+    The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
+    """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
-        law.candidate_formulas(calculator.space.sightings)
+        law.candidate_formulas(calculator.residual_space.sightings)
         if any(f.kind == "smooth" for f in law.regressor.factors)
         else []
     )
     if not formulas:
         return []
-    best_formula = formulas[index_of_largest(calculator.log_evidence(formulas, conditioning_model))]
+    best_formula = formulas[index_of_most_evidence(calculator.log_evidence(formulas, conditioning_model))]
     refined, value = calculator.refine_locally([best_formula], conditioning_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, equivalent_effect_name(refined))]
 
 
 def _span_gram_and_score(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, step_regressors: Sequence[Regressor], conditioning_model: Model
+    calculator: EvidenceCalculator,
+    law: EmpiricalLaw,
+    step_regressors: Sequence[Regressor],
+    conditioning_model: EffectModel,
 ) -> SpanGramAndScore:
-    """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next."""
-    sightings, count = calculator.space.sightings, len(step_regressors)
+    """Gram matrix and score of an empirical law with separate coefficients in each span from a step to the next.
+
+    `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
+    addition.
+    """
+    sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
     gram, score = calculator.grams_and_scores([law.with_sum_of_steps(step_regressors)], conditioning_model)[0]
@@ -139,14 +151,15 @@ def _span_gram_and_score(
 
 
 def _span_differences(step_values: Floats) -> Floats:
-    """Values (S, ...) of S spans from the values (S, ...) of S steps: the value of each step minus that of the next."""
+    """Values (S, ...) of S spans of a covariate from those of S steps: each step minus the next."""
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """States (S,) of S spans, on or off, with the largest evidence, their log evidence, and the number of toggles.
+    """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
 
-    Each toggled interval reduces the log evidence by the log of the number of all intervals.
+    The numbers are the log evidence and the number of toggled intervals. Each toggled interval reduces the log evidence
+    by the log of the number of all intervals.
     """
     count, n_components = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
@@ -175,7 +188,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
         values[square < MIN_SWITCHED_MEAN_SQUARE_RATIO] = -np.inf
-        state = states[index_of_largest(values)]
+        state = states[index_of_most_evidence(values)]
         total = float(log_sum_exp(values)) - turn * price
         if total > value + NORMAL_EQUATIONS_TOLERANCE:
             best, value, taken = state, total, turn
@@ -188,7 +201,10 @@ def _cumulative_sums(step_values: Floats) -> Floats:
 
 
 def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb."""
+    """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb.
+
+    `edge_regressors` are the steps at the edges.
+    """
     least = (
         MIN_TARGET_SWITCH_EDGES
         if len(law.targets) == 1
@@ -202,9 +218,9 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 
 
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switched law is on for several targets and off for several targets.
+    """True if a switched empirical law is on for several targets and off for several targets.
 
-    Otherwise the cause is an error of a single target.
+    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

@@ -1,4 +1,4 @@
-"""Public function of the diagnosis: unmodelled causes in a recording."""
+"""Public function of the diagnosis: search for unmodelled causes of misfit in a recording."""
 
 from pathlib import Path
 

@@ -1,1 +1,1 @@
-"""Reports: figures, 3D views and HTML pages; the only package that creates figures."""
+"""Reports: pages, figures and 3D views of all results."""

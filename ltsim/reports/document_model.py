@@ -32,37 +32,41 @@ Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result; it determines the colour of the result on a page."""
 HallView = Literal["3d", "floor-plan", "none"]
 """View of the hall in a section: interactive (`3d`), from above (`floor-plan`), or `none`."""
-MAX_UNFOLDED_ROWS = 30
-"""Number of rows of a table above which the page shows the table folded (only its title) until it is clicked."""
-MAX_PRINTED_ROWS = 120
+MAX_UNFOLDED_TABLE_ROWS = 30
+"""Number of rows of a table above which the page shows only its title, until the title is clicked."""
+MAX_PRINTED_TABLE_ROWS = 120
 """Number of rows (three pages) above which a table is not printed on paper."""
-MAX_TERMINAL_ROWS = 8
-"""Number of rows that a terminal prints of a table that starts folded on a page."""
+MAX_TERMINAL_TABLE_ROWS = 8
+"""Largest number of rows that a terminal prints of a table that starts folded on a page (only its title)."""
 MAX_RECOMMENDED_ACTIONS = 3
 """Largest number of next actions at the head of a page and on a terminal."""
 MAX_TERMINAL_TABLE_WIDTH = 160
-"""Largest width of a table on a terminal [characters]; a wider one is printed as one line per row."""
+"""Largest width of a table on a terminal [characters]; a wider table is printed as one line per row."""
 
 
 @dataclass(frozen=True)
 class SectionContext:
-    """Data from which the section of a result is written: folder, recording, and view of the hall (`hall_view`).
-
-    `omits_residuals` is True if another section of the page shows the residuals of this recording.
-    """
+    """Context of a result for its section of a report: folder, recording, and view of the hall."""
 
     folder: Path | None = None
+    """Folder of the result; None for a result in memory."""
     recording: Recording | None = None
+    """Recording from which the result was computed; None if it is not available."""
     hall_view: HallView = "none"
+    """View of the hall in the section."""
     omits_residuals: bool = False
+    """True if another section of the page shows the residuals of this recording."""
 
     def companion_file(self, name: str, content: ResultFile) -> Path | None:
-        """Path of a companion file of the result `content`; None without it; RecordError if it is of another result."""
+        """Path of the file `name` that belongs to the result `content`, in its folder.
+
+        It is None without such a file. RecordError is raised if the file belongs to another result.
+        """
         return None if self.folder is None else companion_path(self.folder, name, content)
 
 
 def assessment_of(is_good: bool) -> Assessment:
-    """Assessment `good` for True, `bad` for False."""
+    """Assessment `good` if `is_good`, otherwise `bad`."""
     return "good" if is_good else "bad"
 
 
@@ -77,44 +81,46 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class TableBlock:
-    """Table whose cells are texts.
-
-    The first `n_text_columns` columns are flush left, the others flush right; `column_meanings` explains each heading.
-    """
+    """Table of a section, whose cells are texts."""
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    """Cells of each row."""
     n_text_columns: int = 1
+    """Number of leading columns whose cells are flush left; all others are flush right."""
     note: str = ""
+    """Text below the table."""
     marked_rows: frozenset[int] = frozenset()
+    """Indices of highlighted rows."""
     column_meanings: Sequence[str] = ()
+    """Explanation of each heading, shown when the pointer is over it."""
     is_foldable: bool = True
-    """True if the table is folded when it is long; False for a table that readers need completely."""
+    """True if a long table starts folded (only its title is shown); False for a table that readers need completely."""
     kind: Literal["table"] = "table"
+    """Name of this kind of block in the template of the page."""
 
     @property
     def is_too_long_to_print(self) -> bool:
-        """True if the table is too long to print."""
-        return len(self.rows) > MAX_PRINTED_ROWS
+        """True if the table has too many rows to be printed on paper."""
+        return len(self.rows) > MAX_PRINTED_TABLE_ROWS
 
     @property
     def is_folded(self) -> bool:
-        """True if the table starts folded."""
-        return len(self.rows) > MAX_UNFOLDED_ROWS and self.is_foldable
+        """True if the page shows only the title of the table, until the title is clicked."""
+        return len(self.rows) > MAX_UNFOLDED_TABLE_ROWS and self.is_foldable
 
 
 @dataclass(frozen=True)
 class PictureBlock:
-    """Picture with a caption, which is also its alternative text.
-
-    `draw_figure` returns a figure or an SVG text and is called when the page is written.
-    """
+    """Picture with a caption, which is also its alternative text."""
 
     title: str
     draw_figure: Callable[[], Figure | str]
+    """Function that returns a figure or an SVG text; it is called when the page is written."""
     caption: str
     kind: Literal["picture"] = "picture"
+    """Name of this kind of block in the template of the page."""
 
     @cached_property
     def data_uri(self) -> str:
@@ -128,10 +134,13 @@ class PictureBlock:
 def picture_if_few_items(
     title: str, draw_figure: Callable[[], Figure | str], caption: str, n_items: int
 ) -> PictureBlock | NoteBlock:
-    """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_FIGURE_ITEMS`."""
+    """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_FIGURE_ITEMS`.
+
+    `draw_figure` returns the figure and is called when the page is written.
+    """
     if n_items <= MAX_FIGURE_ITEMS:
         return PictureBlock(title, draw_figure, caption)
-    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; at most {MAX_FIGURE_ITEMS} are.")
+    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; the limit is {MAX_FIGURE_ITEMS}.")
 
 
 @dataclass(frozen=True)
@@ -143,72 +152,82 @@ class SceneBlock:
     caption: str
     page_html: str
     kind: Literal["scene"] = "scene"
+    """Name of this kind of block in the template of the page."""
 
     @property
     def page_gzip_base64(self) -> str:
-        """Interactive page as gzip in base64, unpacked by the browser."""
+        """Interactive page as gzip in base64, which the browser unpacks."""
         return base64.b64encode(gzip.compress(self.page_html.encode(), mtime=0)).decode()
 
 
 @dataclass(frozen=True)
 class NoteBlock:
-    """Paragraph with a heading."""
+    """Paragraph with a heading in a section."""
 
     title: str
     text: str
     assessment: Assessment = "plain"
     kind: Literal["note"] = "note"
+    """Name of this kind of block in the template of the page."""
 
 
 @dataclass(frozen=True)
 class CodeBlock:
-    """Preformatted text, such as settings; it starts folded on the page."""
+    """Preformatted text of a section, such as settings; the page shows only its title until that is clicked."""
 
     title: str
     text: str
     kind: Literal["listing"] = "listing"
+    """Name of this kind of block in the template of the page."""
 
 
 @dataclass(frozen=True)
 class BulletListBlock:
-    """Bullet list of sentences."""
+    """Bullet list of sentences in a section."""
 
     title: str
     lines: Sequence[str]
     kind: Literal["points"] = "points"
+    """Name of this kind of block in the template of the page."""
 
 
 Block = BulletListBlock | TableBlock | PictureBlock | SceneBlock | NoteBlock | CodeBlock
+"""Part of a section below its key figures."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """Section of a page on one result of one folder.
-
-    `summary` is its first sentence; `simulation_notice` comes before it if the data are simulated. `title` is the title
-    of a page with this section alone; on a page with several sections `kind` and `folder` are the heading. The first
-    `n_side_by_side_blocks` blocks are side by side at the head of the page. Blocks after the first `n_open_blocks` are
-    folded at first. A terminal prints the first `n_terminal_blocks` blocks, or all for None.
-    """
+    """Section of a page that reports the result in a folder."""
 
     title: str
+    """Title of a page with this section alone; on other pages `kind` and `folder` are the heading."""
     kind: str
     """Kind of the result, such as `Calibration`."""
     summary: str
+    """First sentence of the section."""
     assessment: Assessment = "plain"
     key_figures: Sequence[KeyFigure] = ()
     blocks: Sequence[Block] = ()
     folder: str = ""
+    """Name of the folder of the result."""
     next_actions: Sequence[str] = ()
+    """Recommended actions, the most urgent first."""
     seed_text: str = ""
+    """Seed of the random draws of the result, as text; empty for none."""
     package_versions: Sequence[tuple[str, str]] = ()
+    """Pairs of the name and the version of the packages that computed the result."""
     axes_text: str = ""
+    """Definition of the coordinate axes."""
     instrument_text: str = ""
     measurement_date: str = ""
     n_open_blocks: int = 3
+    """Number of leading blocks that are open; the page shows only the titles of the others."""
     n_side_by_side_blocks: int = 0
+    """Number of leading blocks that are side by side at the head of the page."""
     n_terminal_blocks: int | None = None
+    """Number of leading blocks that a terminal prints; None for all."""
     simulation_notice: str = ""
+    """Notice before the summary that the data are simulated; empty for real data."""
     method: str = ""
     """Method of the result, which the heading shows after its kind; empty for none."""
 
@@ -228,20 +247,22 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """Content of a page: sections, and the title, headline, summary and next actions at the head of the page.
-
-    `header_lines` are pairs of name and text, `package_versions` pairs of the name and version of a package.
-    """
+    """Document with the content of a page: sections, and the texts at the head of the page."""
 
     title: str
     summary: str
     assessment: Assessment
     sections: Sequence[Section] = ()
     package_versions: Sequence[tuple[str, str]] = ()
+    """Pairs of the name and the version of the packages that contribute to the page."""
     header_lines: Sequence[tuple[str, str]] = ()
+    """Pairs of name and text at the head of the page, such as instrument and date."""
     headline: str = ""
+    """Headline: the main result in one sentence."""
     next_actions: Sequence[str] = ()
+    """Recommended actions at the head of the page."""
     simulation_notice: str = ""
+    """Notice that the data are simulated; empty for real data."""
 
 
 def _block_text(block: Block) -> str:
@@ -252,9 +273,9 @@ def _block_text(block: Block) -> str:
         case BulletListBlock():
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
         case TableBlock():
-            rows = block.rows[:MAX_TERMINAL_ROWS] if block.is_folded else block.rows
+            rows = block.rows[:MAX_TERMINAL_TABLE_ROWS] if block.is_folded else block.rows
             lines = [f"{block.title}:", _table_text(replace(block, rows=rows))]
-            lines += [f"and {len(block.rows) - MAX_TERMINAL_ROWS} more"] if block.is_folded else []
+            lines += [f"and {len(block.rows) - MAX_TERMINAL_TABLE_ROWS} more"] if block.is_folded else []
             return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 
@@ -280,9 +301,11 @@ def entries_table_blocks(
     is_marked: Callable[[Any], bool] | None = None,
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """List with the table of entries of a result file, whose model gives meanings and units; empty without entries.
+    """List with the table of entries of a result file; empty without entries.
 
-    Each of `fields` is the name of a field, `name=title`, or `name+-sigma` with the field of the standard deviation.
+    The model of the entries gives meanings and units. Each of `fields` is the name of a field, `name=title`, or
+    `name+-sigma` with the field of the standard deviation. `note` is a text below the table, and `is_marked` selects
+    the entries whose rows are highlighted. With `is_foldable` the page shows only the title of a long table.
     """
     entry_list = list(entries)
     columns: list[results.Column] = []
@@ -318,7 +341,11 @@ def table_blocks(
     marked_rows: frozenset[int] = frozenset(),
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """List with the table of a result as a block, text flush left, numbers flush right; empty without rows."""
+    """List with the table of a result as a block, text flush left, numbers flush right; empty without rows.
+
+    `note` is a text below the table, and `marked_rows` are the indices of highlighted rows. With `is_foldable` the page
+    shows only the title of a long table.
+    """
     if not table.rows:
         return []
     headings = table.headings
@@ -331,7 +358,7 @@ def table_blocks(
 
 
 def _cell_text(value: Any) -> Any:
-    """Value of a cell; a list becomes a text with commas."""
+    """Value of a table cell; a list becomes a text with commas."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value
     return ", ".join(v if isinstance(v, str) else number_text(v) for v in value)

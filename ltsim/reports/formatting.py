@@ -24,12 +24,12 @@ QUALITY_MEASURE_BY_GOAL = {
 
 
 def is_determined_by_readings(sigma: float | None, prior_sigma: float | None) -> bool:
-    """True if the readings at least halve the prior variance of a parameter (sigma < 0.7 prior), or without prior."""
+    """True if a parameter has no prior, or if the readings at least halve its prior variance (sigma < 0.7 prior)."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
 def duration_text(seconds: float) -> str:
-    """Text of a time span [s]."""
+    """Text of a time span of `seconds` [s], in s, min or h."""
     minutes = seconds / 60.0
     if minutes < 1:
         return f"{seconds:.0f} s"
@@ -46,7 +46,7 @@ def tracker_preset_names_text(scenarios: Iterable[Scenario | ScenarioSettings]) 
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Sort key of natural order: T9 before T10."""
+    """Sort key of a `name` in natural order: T9 before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
@@ -70,9 +70,9 @@ def typographic_text(text: str) -> str:
 
 
 def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[bool, str]:
-    """Result of the two-sided global test: True if readings and model agree, and a text without full stop.
+    """Verdict of the two-sided global test: True if readings and model agree, and a text without full stop.
 
-    `p_value` is the probability of a larger chi-square.
+    `chi2` is chi-square with `dof` degrees of freedom, and `p_value` the probability of a larger chi-square.
     """
     if dof <= 0 or p_value is None or not math.isfinite(p_value):
         return True, "the model cannot be tested, because there is no redundancy"

@@ -1,4 +1,4 @@
-"""Pages as one HTML file that works offline: results with verdict, next actions and evidence."""
+"""Report pages as one HTML file that works offline: results with verdict, next actions and evidence."""
 
 import importlib.metadata
 import platform
@@ -26,10 +26,10 @@ from ltsim.reports.document_model import (
     SectionContext,
 )
 from ltsim.reports.formatting import natural_sort_key, typographic_text
-from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
-from ltsim.reports.sections.network import TRUTH_FILE, recording_section
+from ltsim.reports.sections import SECTION_FUNCTION_BY_RESULT_FILE, read_content, result_section
+from ltsim.reports.sections.network import TRUTH_FILE_NAME, recording_section
 
-HEADLINES = {
+HEADLINE_BY_KIND_AND_ASSESSMENT = {
     ("Recording", "good"): "The readings agree with each other.",
     ("Recording", "bad"): "The readings do not agree with the declared set-up.",
     ("Calibration", "good"): "The calibration can be used.",
@@ -54,11 +54,11 @@ HEADLINES = {
 """Headline of a page by the kind of its first result and the assessment of that result."""
 
 
-PAGE_FILE = "report.html"
-"""Name of the page in a folder."""
-CAMPAIGN_MANIFEST = "manifest.json"
+REPORT_PAGE_FILE_NAME = "report.html"
+"""Name of the HTML page in a folder of results."""
+CAMPAIGN_MANIFEST_FILE_NAME = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
-FIRST_RESULT_FILES = ("diagnosis.json", "calibration.json")
+FIRST_RESULT_FILE_NAMES = ("diagnosis.json", "calibration.json")
 """Names of the result files that come first on a page; the first result determines the headline of the page."""
 UNREADABLE_SECTION_KIND = "Not readable"
 """Kind of a section that shows the error of a folder that cannot be read."""
@@ -66,32 +66,33 @@ UNREADABLE_SECTION_KIND = "Not readable"
 
 @dataclass(frozen=True)
 class PagePart:
-    """Result for one section of a page: its folder, its file, and the recording from which it was computed.
-
-    `omits_residuals` is True if another section shows the residuals of the same recording.
-    """
+    """Part of a page: a result for one section, with its folder, its file and its recording."""
 
     folder: Path
+    """Folder of the result."""
     result_file: str
+    """Name of the result file in the folder."""
     recording: Path | None
+    """Path of the recording from which the result was computed; None if it is not available."""
     omits_residuals: bool = False
+    """True if another section of the page shows the residuals of the same recording."""
 
 
 RESULT_FILES_IN_PAGE_ORDER = (
     "diagnosis.json",
     "calibration.json",
     OBSERVATIONS_FILE,
-    *(k for k in SECTION_WRITERS if k not in FIRST_RESULT_FILES),
-    CAMPAIGN_MANIFEST,
+    *(k for k in SECTION_FUNCTION_BY_RESULT_FILE if k not in FIRST_RESULT_FILE_NAMES),
+    CAMPAIGN_MANIFEST_FILE_NAME,
 )
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
 def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Section:
-    """Section of the page for one folder; raises RecordError, and InputError if packages are missing."""
+    """Section of the page for one part; raises RecordError, and InputError if packages are missing."""
     if page_part.result_file == OBSERVATIONS_FILE:
         return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
-    if page_part.result_file == CAMPAIGN_MANIFEST:
+    if page_part.result_file == CAMPAIGN_MANIFEST_FILE_NAME:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 
@@ -107,7 +108,10 @@ def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Sectio
 def document_of_folder(
     folder: Path, *, recording: Path | None = None, title: str | None = None, about: ReportHeader | None = None
 ) -> Document:
-    """Document of the page of a folder.
+    """Document of the page that reports the results in a folder.
+
+    `recording` is the recording of the results if it is elsewhere, and `about` has texts for the head of the page by
+    name.
 
     Raises
     ------
@@ -127,7 +131,7 @@ def document_of_folder(
         sections=sections,
         package_versions=package_versions(),
         header_lines=_header_lines(page_parts, sections, about or ReportHeader()),
-        headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
+        headline=HEADLINE_BY_KIND_AND_ASSESSMENT.get((first_section.kind, first_section.assessment), ""),
         next_actions=_recommended_actions(sections),
         simulation_notice=first_section.simulation_notice,
     )
@@ -141,7 +145,10 @@ def _recommended_actions(sections: list[Section]) -> list[str]:
 
 
 def _header_lines(page_parts: list[PagePart], sections: list[Section], about: ReportHeader) -> list[tuple[str, str]]:
-    """Header lines (name, text): instrument, date, operator, customer, axes; lines without a text are omitted."""
+    """Header lines (name, text): instrument, date, operator, customer, axes; lines without a text are omitted.
+
+    `about` are texts given by the user, by name of the line.
+    """
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [
         read_setup(recording_folder / SETUP_FILE)
@@ -164,6 +171,10 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], about: Re
 
 
 def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
+    """Parts of the page of a folder: a part for each result in the folder, or in folders of it.
+
+    `recording` is the recording that the user gave; None without it.
+    """
     subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     page_parts = [
         PagePart(result_folder, kind, recording or _recording_folder(result_folder, folder))
@@ -203,7 +214,7 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
     folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only part.
     """
     shown_sources: set[Path | str | None] = set()
-    only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
+    only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE_NAME).is_file()
     for part in page_parts:
         source = part.recording or _recording_digest(part)
         hall_view: HallView = (
@@ -267,7 +278,7 @@ def package_versions() -> list[tuple[str, str]]:
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
-    """Folder of the recording of the results in a folder, searched in and next to it."""
+    """Folder of the recording of the results in a folder, searched in and next to it; None without it."""
     for candidate in (result_folder, result_folder / "recording", result_folder.parent / "recording", page_folder):
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()

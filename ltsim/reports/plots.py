@@ -49,7 +49,7 @@ MAX_DRAWN_PROPOSALS = 12
 
 @singledispatch
 def figure_of(result: Result) -> Figure:
-    """Figure of a result; raises ModelError for a result without one."""
+    """Figure of a result; raises ModelError for a result without a figure."""
     if type(result).__module__ == "ltsim.campaigns.results":  # not registered: its packages may be missing
         from ltsim.reports.sections.campaign import campaign_figure
 

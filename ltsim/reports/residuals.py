@@ -19,50 +19,51 @@ from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.recording import OBSERVABLES
 
 NameArray = NDArray[np.str_]
-"""Array of names."""
+"""Array of names (of stations or targets)."""
 
 OBSERVABLE_UNITS = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
-"""Display unit of each observable."""
+"""Display unit of the residuals of each observable."""
 DEFAULT_COVARIATES = ("azimuth", "elevation", "distance", "time", "row")
 """Covariates in figures of residuals, as far as the residuals have them; `time` needs a recording with a clock."""
 COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
-"""Display unit of each covariate."""
+"""Display unit of each covariate in figures of residuals."""
 
 
 @dataclass(frozen=True)
 class Residuals:
     """Residuals (observed minus adjusted reading) of n readings, with station, target and covariates of each."""
 
-    data_row: Ints
+    data_row_numbers: Ints
     """Number (n,), from 1, of the row of each of n readings in the table of the recording."""
-    station: NameArray
-    target: NameArray
-    """Names of the targets of n readings, (n,); `station` are the names of their stations."""
-    observable: Ints
+    station_names: NameArray
+    """Names (n,) of the stations of n readings."""
+    target_names: NameArray
+    """Names (n,) of the targets of n readings."""
+    observable_indices: Ints
     """Index (n,) into `OBSERVABLES` of the observable of each of n readings."""
-    residual: Floats
+    displayed_residual: Floats
     """Residuals (n,) of n readings, in um for a distance and in arcsec for an angle."""
     normalised_residual: Floats
     """Residuals (n,) of n readings divided by their standard deviations; standard normal if the model is correct."""
     redundancy: Floats
     """Redundancy number (n,) of each of n readings, from 0 (not checked by other readings) to 1."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Covariates of n readings by name, (n,) each, in the units of `COVARIATE_UNITS`."""
+    """Covariates (n,) of n readings by name, in the units of `COVARIATE_UNITS`."""
 
     def __len__(self) -> int:
-        return len(self.data_row)
+        return len(self.data_row_numbers)
 
     @property
     def stations(self) -> list[str]:
         """Names of the stations in the order of their appearance."""
-        return list(dict.fromkeys(self.station.tolist()))
+        return list(dict.fromkeys(self.station_names.tolist()))
 
-    def is_of_observable(self, observable: str) -> Bools:
-        """Mask (n,) of n readings, True for those of an observable."""
-        return self.observable == OBSERVABLES.index(observable)
+    def observable_mask(self, observable: str) -> Bools:
+        """Mask (n,) of n readings, True for those of the observable with this name."""
+        return self.observable_indices == OBSERVABLES.index(observable)
 
     @property
-    def order_covariate(self) -> str:
+    def measurement_order_covariate(self) -> str:
         """Covariate of the order of measurement: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
@@ -70,22 +71,25 @@ class Residuals:
     def sigma(self) -> Floats:
         """Standard deviations (n,) of n readings, computed from residual, normalised residual and redundancy."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
+            return np.asarray(np.abs(self.displayed_residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
-    def is_at_places(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+    def station_and_target_mask(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """Mask (n,) of n readings, True for those from the given stations to the given targets.
 
         An empty sequence means all stations or all targets.
         """
         mask = np.ones(len(self), dtype=np.bool_)
-        for names, column in ((stations, self.station), (targets, self.target)):
+        for names, column in ((stations, self.station_names), (targets, self.target_names)):
             if names:
                 mask &= np.isin(column, list(names))
         return mask
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
-        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit."""
+        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit.
+
+        `file` is the path of the table, for messages.
+        """
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong_row = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong_row is not None:
@@ -97,11 +101,11 @@ class Residuals:
         )
         row, residual, redundancy, w = table.float_array("row", "residual", "redundancy", "w").T
         return cls(
-            data_row=row.astype(np.int64),
-            station=np.array(table.column("station"), dtype=np.str_),
-            target=np.array(table.column("target"), dtype=np.str_),
-            observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
-            residual=residual * unit_factors,
+            data_row_numbers=row.astype(np.int64),
+            station_names=np.array(table.column("station"), dtype=np.str_),
+            target_names=np.array(table.column("target"), dtype=np.str_),
+            observable_indices=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
+            displayed_residual=residual * unit_factors,
             normalised_residual=w,
             redundancy=redundancy,
             covariates={"row": row},
@@ -114,11 +118,11 @@ class Residuals:
         rows, observable = np.nonzero(is_used)
         unit = np.array([SI_PER_UNIT[OBSERVABLE_UNITS[name]] for name in OBSERVABLES])
         return cls(
-            data_row=rows + 1,
-            station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
-            target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
-            observable=observable,
-            residual=(adjustment.residuals / unit)[is_used],
+            data_row_numbers=rows + 1,
+            station_names=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
+            target_names=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
+            observable_indices=observable,
+            displayed_residual=(adjustment.residuals / unit)[is_used],
             normalised_residual=adjustment.normalised_residuals[is_used],
             redundancy=adjustment.redundancy[is_used],
             covariates=_geometric_covariates(adjustment, rows),
@@ -141,14 +145,17 @@ class Residuals:
         """Residuals, normalised by the standard deviations that the same readings have in `reference`."""
         sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
+            return replace(self, normalised_residual=self.displayed_residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
-        """Index (n,) in `reference` of each of n readings (same data row and observable); -1 if it is missing there."""
+        """Index (n,) in `reference` of each of n readings (same data row and observable); -1 for a missing reading."""
         row_by_key = {
-            key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
+            key: i
+            for i, key in enumerate(
+                zip(reference.data_row_numbers.tolist(), reference.observable_indices.tolist(), strict=True)
+            )
         }
-        keys = zip(self.data_row.tolist(), self.observable.tolist(), strict=True)
+        keys = zip(self.data_row_numbers.tolist(), self.observable_indices.tolist(), strict=True)
         return np.array([row_by_key.get(key, -1) for key in keys], dtype=np.int64)
 
 
@@ -164,7 +171,7 @@ def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Float
     if np.isfinite(incidence).any():
         covariates["incidence"] = incidence
     other_covariates = {name: column[rows] for name, column in sightings.covariates.items()}
-    order_covariate: dict[str, Floats] = (
+    measurement_order_covariate: dict[str, Floats] = (
         {"time": sightings.time[rows] / 60.0} if has_clock else {"row": (rows + 1).astype(np.float64)}
     )
-    return covariates | order_covariate | other_covariates
+    return covariates | measurement_order_covariate | other_covariates

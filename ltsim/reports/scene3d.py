@@ -21,32 +21,30 @@ WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
-"""Largest number of arrows in a scene; if there are more, the longest ones are drawn."""
-MAX_METRE_LINES = 200
+"""Largest number of correction arrows in a scene; if there are more, the longest arrows are drawn."""
+MAX_FLOOR_METRE_LINES = 200
 """Largest number of lines at full metres on the floor; a larger hall is drawn without them."""
-MAX_OMITTED_NAMES = 4
-"""Largest number of omitted names that the legend lists."""
+MAX_LISTED_OMITTED_NAMES = 4
+"""Largest number of names, omitted for lack of space, that the legend lists."""
 MAX_TARGET_LABELS = 60
 """Number of targets above which the names of the targets are not drawn."""
 MAX_FINE_SPHERES = 150
-"""Number of spheres above which spheres are drawn with fewer facets."""
+"""Number of targets above which their spheres and ellipsoids are drawn with fewer facets."""
 MAX_MEDIUM_SPHERES = 600
-"""Number of spheres above which spheres are drawn with the fewest facets."""
+"""Number of targets above which their spheres and ellipsoids are drawn with the fewest facets."""
 SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
-"""Colour map of lines of sight."""
+"""Colour map of the values of lines of sight."""
 
 vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning about a missing display
 
 
 @dataclass(frozen=True)
 class SceneLegend:
-    """Legend of a scene: lines of text, and the colour bar of the lines of sight.
-
-    `colour_bar` is the label, the lowest and the highest value of the colours; None without lines of sight.
-    """
+    """Legend of a scene: lines of text, and the colour bar of the lines of sight."""
 
     lines: tuple[str, ...]
     colour_bar: tuple[str, float, float] | None = None
+    """Label, lowest and highest value of the colours; None without lines of sight."""
 
 
 def round_magnification(length: float, drawn_length: float) -> float:
@@ -60,7 +58,7 @@ def round_magnification(length: float, drawn_length: float) -> float:
 
 
 def magnification_text(magnification: float) -> str:
-    """Magnification as text, with a space between thousands: `2 000`."""
+    """Text of a magnification, with a space between thousands: `2 000`."""
     return f"{magnification:,.0f}".replace(",", " ")
 
 
@@ -75,7 +73,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter with the scene of a hall, and its legend; `window_size` in pixels, on screen or `off_screen`."""
+    """Plotter of pyvista and legend of the scene of a hall; `window_size` in pixels, visible unless `off_screen`."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)
@@ -95,7 +93,7 @@ def build_scene(
 
 
 def scene_png(workshop: WorkshopScene, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
-    """PNG of the scene of a hall, with title, legend and colour bar."""
+    """PNG of the scene of a hall, with title, legend and colour bar; `window_size` in pixels."""
     plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()
@@ -111,7 +109,7 @@ def capture_and_close(plotter: pv.Plotter) -> Image.Image:
 
 
 def show_window(workshop: WorkshopScene) -> None:
-    """Open a window; returns when it is closed."""
+    """Open a window with the scene of a hall; returns when it is closed."""
     plotter, legend = build_scene(workshop, off_screen=False)
     write_legend(plotter, workshop.title, legend)
     plotter.show()
@@ -146,13 +144,13 @@ def write_legend(plotter: pv.Plotter, title: str, legend: SceneLegend) -> None:
 
 
 def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
-    """Draw floor, metre lines, walls and obstacles."""
+    """Draw floor, metre lines, walls and obstacles of a hall."""
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor_corners, np.full(len(workshop.floor_corners), z - 0.002)])
     plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
     ends = workshop.floor_corners.min(axis=0), workshop.floor_corners.max(axis=0)
     metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
-    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRE_LINES:
+    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_FLOOR_METRE_LINES:
         grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.wall_corners):
@@ -166,11 +164,13 @@ def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
 def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, float, float] | None:
     """Draw each line of sight once, coloured by its largest value; returns label, lowest and highest value."""
     sights = workshop.sights
-    if sights is None or not len(sights.station):
+    if sights is None or not len(sights.station_indices):
         return None
-    pairs, place = np.unique(np.stack([sights.station, sights.target], axis=1), axis=0, return_inverse=True)
+    pairs, place = np.unique(
+        np.stack([sights.station_indices, sights.target_indices], axis=1), axis=0, return_inverse=True
+    )
     value = np.full(len(pairs), -np.inf)
-    np.maximum.at(value, place.ravel(), sights.value)
+    np.maximum.at(value, place.ravel(), sights.values)
     ends = np.stack([workshop.station_positions[pairs[:, 0]], workshop.target_points[pairs[:, 1]]], axis=1).reshape(
         -1, 3
     )
@@ -192,7 +192,10 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
-    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor."""
+    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor.
+
+    The opening angles are added to `legend_lines`.
+    """
     z = workshop.floor_height
     for k, opening in enumerate(workshop.shadow_cone_openings):
         radius = workshop.shadow_radii_on_floor(opening)
@@ -242,7 +245,7 @@ def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
 
 
 def _draw_targets(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
-    """Draw targets as spheres, and the lengths between targets of the gauge as lines."""
+    """Draw targets as spheres, and the gauge (reflectors at known distances) as lines between its targets."""
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.largest_extent
     for name, colour, chosen in (
@@ -358,11 +361,11 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if omitted_names:
-        legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_OMITTED_NAMES)}")
+        legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_LISTED_OMITTED_NAMES)}")
 
 
 def _facing_axes(direction: Floats) -> Floats:
-    """Unit vectors (3, 3) to the right, upwards, and along `direction` (3,), of a plane perpendicular to it."""
+    """Unit vectors (3, 3) of a plane perpendicular to `direction` (3,): right, up, and along the direction."""
     outwards = direction / np.linalg.norm(direction)
     right_axis = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
     right_axis /= np.linalg.norm(right_axis)
@@ -370,7 +373,7 @@ def _facing_axes(direction: Floats) -> Floats:
 
 
 def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
-    """Mesh of a name with letters of a height [m], in the plane of `axes`."""
+    """Mesh of a name at the point `place` with letters of a height [m], in the plane of `axes` (3, 3)."""
     text = style.shortened_name(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # in front of a wall behind the target

@@ -21,7 +21,7 @@ from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 from ltsim.reports.formatting import typographic_text
 from ltsim.reports.workshop_scene import WorkshopScene
 
-PAGE_CSS = """
+SCENE_PAGE_CSS = """
 .content { position: fixed; inset: 0; touch-action: none; }
 .content canvas { touch-action: none; }
 body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
@@ -37,10 +37,10 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
-"""Style sheet of the page."""
-PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
+"""Style sheet of the page with a 3D scene."""
+SCENE_PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
 """Elements for the head of the page: content security policy, and the name of ltsim as generator."""
-PAGE_HEAD += '<meta name="generator" content="ltsim">'
+SCENE_PAGE_HEAD += '<meta name="generator" content="ltsim">'
 
 
 N_COORDINATE_STEPS = 40_000
@@ -51,7 +51,7 @@ A step is smaller than a pixel.
 
 
 def scene_page(workshop: WorkshopScene, camera: scene3d.Camera | None = None) -> str:
-    """Self-contained HTML page with the interactive scene."""
+    """Self-contained HTML page with the interactive 3D scene of a hall, seen from `camera` if it is given."""
     plotter, legend = scene3d.build_scene(workshop, camera=camera)
     html = _page_html(plotter, workshop, legend)
     plotter.close()
@@ -67,6 +67,7 @@ def scene_picture_and_page(workshop: WorkshopScene) -> tuple[Image.Image, scene3
 
 
 def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.SceneLegend) -> str:
+    """HTML page with the scene of a plotter, the title of the hall, and the legend."""
     step = 2.0 ** np.floor(np.log2(workshop.largest_extent / N_COORDINATE_STEPS))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
@@ -75,17 +76,18 @@ def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.Sce
     plotter.render()
     stream = io.StringIO()
     write_html(_zip_archive(_vtk_scene(plotter.render_window)), stream)
-    html = FAVICON_PATTERN.sub("data:,", stream.getvalue())
+    html = FAVICON_URL_PATTERN.sub("data:,", stream.getvalue())
     title = escape(as_printable(workshop.title or "Workshop"))
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
-    html = html.replace("<head>", f"<head>{PAGE_HEAD}", 1)
-    html = html.replace("</style>", PAGE_CSS + "</style>", 1)
+    html = html.replace("<head>", f"<head>{SCENE_PAGE_HEAD}", 1)
+    html = html.replace("</style>", SCENE_PAGE_CSS + "</style>", 1)
     html = html.replace("<body>", '<body><div class="content"></div>', 1)
     before, _, after = html.rpartition("</body>")
     return f"{before}{_legend_html(title, legend)}</body>{after}"
 
 
 def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
+    """HTML of the title, the legend and the colour bar over a scene."""
     lines = "".join(f"<p>{escape(as_printable(line))}</p>" for line in legend.lines)
     html_parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.colour_bar is not None:
@@ -99,15 +101,15 @@ def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
     return "".join(html_parts)
 
 
-FAVICON_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
+FAVICON_URL_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
 """Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
-ZIP_DATE = (1980, 1, 1, 0, 0, 0)
-"""Date of the entries of the archive, so that equal scenes give equal bytes."""
+ZIP_ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
+"""Date of the entries of the archive with a scene, so that equal scenes give equal bytes."""
 
 
 def _vtk_scene(window: Any) -> dict[str, Any]:
-    """Render window in the format of vtk.js, with its arrays."""
+    """Scene of a render window in the format of vtk.js, with its arrays."""
     serializers.initialize_serializers()
     context = serializers.SynchronizationContext()
     context.set_ignore_last_dependencies(True)
@@ -126,10 +128,10 @@ def _vtk_scene(window: Any) -> dict[str, Any]:
 
 
 def _zip_archive(scene: dict[str, Any]) -> bytes:
-    """Zip archive for the viewer, without dates."""
+    """Zip archive of a scene for the viewer, without dates."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        entry = zipfile.ZipInfo("index.json", ZIP_DATE)
+        entry = zipfile.ZipInfo("index.json", ZIP_ENTRY_DATE)
         entry.compress_type = zipfile.ZIP_DEFLATED
         archive.writestr(entry, json.dumps(scene))
     return stream.getvalue()

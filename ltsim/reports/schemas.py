@@ -53,7 +53,7 @@ RESULT_MODELS: tuple[type[ResultFile], ...] = (
     BenchFile,
     Truth,
 )
-"""Models of the result files that commands write."""
+"""Data models of the result files that commands write."""
 
 MODEL_BY_FILE_NAME: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULT_MODELS},
@@ -64,9 +64,9 @@ MODEL_BY_FILE_NAME: dict[str, type[BaseModel]] = {
     "tasks.toml": Tasks,
     "acceptance.toml": AcceptanceSettings,
 }
-"""Models of all files, including those that users write, by name."""
+"""Data models of all files, including those that users write, by name of the file."""
 
-COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
+COMPANION_TABLES_BY_RESULT_FILE: dict[str, tuple[Table, ...]] = {
     Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
     BenchFile.FILE: (BENCH_TABLE,),
     Truth.FILE: (NOMINAL_TABLE,),
@@ -80,16 +80,16 @@ COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS_TABLE,),
     Recovery.FILE: (TRIALS_TABLE,),
 }
-"""Companion tables by the name of their result file."""
+"""Tables that commands write with a result file, by the name of the result file."""
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
-    """JSON Schema of every file, by its name."""
+    """JSON Schema of every file, by the name of the file."""
     return {name: model.model_json_schema(by_alias=True) for name, model in MODEL_BY_FILE_NAME.items()}
 
 
 def companion_table_descriptions() -> dict[str, list[dict[str, Any]]]:
-    """Companion tables of each file: name, subject, columns with their meaning."""
+    """Descriptions of the tables written with each result file: name, subject, columns with their meaning."""
     return {
         file: [
             {
@@ -99,7 +99,7 @@ def companion_table_descriptions() -> dict[str, list[dict[str, Any]]]:
             }
             for table in companions
         ]
-        for file, companions in COMPANION_TABLES.items()
+        for file, companions in COMPANION_TABLES_BY_RESULT_FILE.items()
     }
 
 

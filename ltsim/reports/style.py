@@ -23,6 +23,7 @@ from ltsim.core.arrays import Floats
 from ltsim.reports.formatting import typographic_text
 
 BLUE = "#0072B2"
+"""Blue of Okabe and Ito."""
 ORANGE = "#E69F00"
 GREEN = "#009E73"
 RED = "#D55E00"
@@ -34,7 +35,7 @@ INK_COLOUR = "#22272B"
 COLOUR_CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK_COLOUR)
 """Colours of successive lines of a figure."""
 MARKERS = "osD^vP*X"
-"""Markers, which distinguish lines in grey prints."""
+"""Markers of successive lines of a figure, which distinguish them in grey prints."""
 COLOUR_BEFORE = GREY
 """Colour of values before a calibration."""
 COLOUR_AFTER = BLUE
@@ -48,7 +49,7 @@ TEXT_COLOUR_ON_LIGHT = "#23282c"
 TEXT_COLOUR_ON_DARK = "#fefefe"
 """Colour of text on a dark cell."""
 
-FIGURE_WIDTH = 4.9
+FIGURE_WIDTH_INCH = 4.9
 """Width of every figure [inch], at which text has nine pixels on a phone."""
 LEGEND_LINE_LENGTH = 75
 """Length of a line of a legend [characters]."""
@@ -94,10 +95,11 @@ DrawParameters = ParamSpec("DrawParameters")
 
 
 def with_figure_style(draw: Callable[DrawParameters, Figure]) -> Callable[DrawParameters, Figure]:
-    """Decorator that applies the settings of this module while a function draws a figure."""
+    """Decorator that applies the settings of this module while the function `draw` draws a figure."""
 
     @wraps(draw)
     def draw_with_style(*args: DrawParameters.args, **kwargs: DrawParameters.kwargs) -> Figure:
+        """Result of `draw` with the settings of this module."""
         with mpl.rc_context(_MATPLOTLIB_SETTINGS):
             return draw(*args, **kwargs)
 
@@ -108,22 +110,23 @@ class NotebookFigure(Figure):
     """Figure that a notebook shows as a picture, even if pyplot is not imported."""
 
     def _repr_png_(self) -> bytes:
+        """PNG of the figure, which a notebook shows."""
         return png_bytes(self)
 
 
 def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
-    """Empty figure of a height [inch] with automatic layout and without a window."""
-    return NotebookFigure(figsize=(FIGURE_WIDTH, height), layout=layout)
+    """Empty figure of a height [inch], without a window, whose `layout` places the axes automatically."""
+    return NotebookFigure(figsize=(FIGURE_WIDTH_INCH, height), layout=layout)
 
 
 def new_panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
-    """Empty figure of a height [inch], and its only axes."""
+    """Empty figure of a height [inch], and its only axes; `layout` places the axes automatically."""
     figure = new_figure(height, layout=layout)
     return figure, figure.subplots()
 
 
 def svg_text(figure: Figure) -> str:
-    """SVG text of the figure, reproducible to the byte."""
+    """SVG text of a figure, reproducible to the byte."""
     stream, layout, dpi = io.StringIO(), figure.get_layout_engine(), figure.dpi
     with mpl.rc_context(_MATPLOTLIB_SETTINGS):
         if layout is not None:  # `savefig` would draw everything twice, the first time for the layout alone
@@ -138,19 +141,19 @@ def svg_text(figure: Figure) -> str:
 
 
 def png_bytes(figure: Figure) -> bytes:
-    """PNG of the figure for printing."""
+    """PNG of a figure for printing."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=150)
     return stream.getvalue()
 
 
 def svg_data_uri(text: str) -> str:
-    """`data:` URI of an SVG for an `img` element, in which scripts are not executed."""
+    """Text of an SVG as a `data:` URI for an `img` element, in which scripts are not executed."""
     return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
 
 
 def webp_data_uri(picture: Image.Image) -> str:
-    """`data:` URI of a picture as WebP, a fifth of the size of PNG."""
+    """Picture as WebP in a `data:` URI, a fifth of the size of PNG."""
     small = io.BytesIO()
     picture.convert("RGB").save(small, format="WEBP", quality=82)
     return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode()
@@ -186,7 +189,7 @@ def write_at_right_of_rows(ax: Axes, positions: Floats, texts: Sequence[str]) ->
     right_axis.spines["right"].set_visible(False)
 
 
-LEGEND_LINE_HEIGHT = 0.2
+LEGEND_LINE_HEIGHT_INCH = 0.2
 """Height [inch] of a line of a legend."""
 
 
@@ -204,7 +207,7 @@ def n_legend_columns(labels: Sequence[str], max_columns: int) -> int:
 
 def legend_height(labels: Sequence[str], max_columns: int) -> float:
     """Height [inch] of a legend of labels in at most `max_columns` columns."""
-    return LEGEND_LINE_HEIGHT * -(
+    return LEGEND_LINE_HEIGHT_INCH * -(
         -len(labels) // n_legend_columns([shortened_name(label) for label in labels], max_columns)
     )
 

@@ -13,7 +13,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import ReportHeader
-from ltsim.reports.page import PAGE_FILE, UNREADABLE_SECTION_KIND, document_of_folder, page_html
+from ltsim.reports.page import REPORT_PAGE_FILE_NAME, UNREADABLE_SECTION_KIND, document_of_folder, page_html
 from ltsim.reports.workshop_scene import (
     WorkshopScene,
     workshop_from_recording,
@@ -30,8 +30,10 @@ class View(Result):
     """3D view of a hall: interactive in a notebook, or as a picture, a page or a window."""
 
     workshop: WorkshopScene
+    """Scene of the hall that the view shows."""
 
     def _lines(self) -> list[str]:
+        """Line for a terminal: title, numbers of stations and targets, and methods."""
         w = self.workshop
         title = f"{w.title}: " if w.title else ""
         return [
@@ -39,6 +41,7 @@ class View(Result):
         ]
 
     def _repr_html_(self) -> str:
+        """HTML of the interactive view, which a notebook shows."""
         from ltsim.reports.scene_page import scene_page  # pyvista takes a second to load
 
         return f'<iframe srcdoc="{escape(scene_page(self.workshop))}" width="100%" height="600"></iframe>'
@@ -58,7 +61,7 @@ class View(Result):
         write_text(Path(path), scene_page(self.workshop))
 
     def show(self) -> None:
-        """Open a window; returns when it is closed."""
+        """Open a window with the 3D view; returns when it is closed."""
         from ltsim.reports import scene3d
 
         scene3d.show_window(self.workshop)
@@ -109,7 +112,7 @@ def view(
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> WorkshopScene:
-    """Workshop of a scenario or a recording; a name without a file is taken as a built-in scenario."""
+    """Scene of a scenario or a recording; a name without a file is taken as a built-in scenario."""
     from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
 
     if isinstance(source, Recording):
@@ -167,7 +170,7 @@ def report(
     header = ReportHeader(**about) if isinstance(about, Mapping) else about
     recording_path = None if recording is None else Path(recording)
     target, content = (
-        Path(folder) / PAGE_FILE,
+        Path(folder) / REPORT_PAGE_FILE_NAME,
         document_of_folder(Path(folder), recording=recording_path, title=title, about=header),
     )
     for section in content.sections:

@@ -33,6 +33,7 @@ def work_order_page(plan: Plan) -> str:
 
 
 def _work_order_blocks(plan: Plan) -> list[Block]:
+    """Blocks of a work order: positions of the tripods, floor plan, and order of the points at each station."""
     network = plan.network
     stations, survey = station_instructions(network), network.layout.survey
     places = TAPE_DISTANCES_TABLE.with_rows(

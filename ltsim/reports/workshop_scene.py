@@ -1,6 +1,6 @@
 """Scene of a measuring hall as reports draw it: stations, targets, gauge, floor, walls, obstacles, lines of sight.
 
-A scene is made from a recording, a calibration or a scenario.
+The gauge is a group of reflectors at known distances. A scene is made from a recording, a calibration or a scenario.
 """
 
 from __future__ import annotations
@@ -27,58 +27,67 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
 ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
-"""Alternative opening angle [rad] of the shadow cone (Sensors 2021, 21, 7479, section 2.3.2)."""
+"""Alternative opening angle [rad] of the shadow cone below a tracker, in which it sees nothing (Sensors 2021, 21, 7479,
+section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
-"""Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
+"""Largest height [m] above z = 0 of the lowest target or tracker in a plan at which the floor is drawn at z = 0.
 
 If all of them are higher, the floor is drawn at the lowest target. The limit is above the height of a tracker on its
 tripod.
 """
 MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
-"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall: the normal is
-at most 75 degrees from the perpendicular. The value is a choice for drawing."""
-MAX_WALL_DEPTH_DIFFERENCE = 0.2
+"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall. The normal is
+then at most 75 degrees from the perpendicular. The value is a choice for drawing."""
+MAX_WALL_NEST_DEPTH_DIFFERENCE = 0.2
 """Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
-FLOOR_MARGIN = 0.4
-"""Margin [m] of the floor around stations and targets."""
+DRAWN_FLOOR_MARGIN = 0.4
+"""Margin [m] of the drawn floor around stations and targets."""
 
 
 @dataclass(frozen=True)
 class DrawnSights:
-    """Lines of sight to draw: index (n,) of the station, index (n,) of the target, and value (n,) of each of n lines.
+    """Lines of sight to draw, n of them, each with a value that determines its colour."""
 
-    The value determines the colour; `value_label` is its name with the unit.
-    """
-
-    station: Ints
-    target: Ints
-    value: Floats
+    station_indices: Ints
+    """Index (n,) of the station of each line of sight."""
+    target_indices: Ints
+    """Index (n,) of the target of each line of sight."""
+    values: Floats
+    """Value (n,) of each line of sight, which determines its colour."""
     value_label: str
+    """Name of the values of the lines of sight, with their unit."""
 
 
 @dataclass(frozen=True)
 class WorkshopScene(ValueEquality):
-    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
+    """Scene of a hall: stations, targets and surroundings in a frame with a vertical z axis, in metres and radians."""
 
     title: str
+    """Title of the scene, free text."""
     stations: tuple[str, ...]
+    """Names of the S stations."""
     station_positions: Floats
-    """Positions of the S stations, (S, 3) [m]."""
+    """Positions (S, 3) [m] of the S stations."""
     station_rotations: Floats
     """Rotation matrices (S, 3, 3) from the instrument frame of each of S stations to the frame of the scene."""
     targets: tuple[str, ...]
+    """Names of the T targets."""
     target_points: Floats
+    """Coordinates (T, 3) [m] of the T targets."""
     nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Unit normals of the nests of the T targets, (T, 3); NaN for a reflector that is turned to each station."""
+    """Unit normals (T, 3) of the nests of T targets; NaN for a reflector that is turned to each station."""
     floor_corners: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """Coordinates x, y (k, 2) [m] of the k corners of the floor."""
     floor_height: float = 0.0
+    """Height z [m] of the floor."""
     wall_corners: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
     """Coordinates (W, 4, 3) [m] of the four corners of each of W walls."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
-    """Pairs of targets with a reference length."""
+    """Pairs of indices of targets with a reference length between them."""
     elevation_min: float = -55.0 * DEGREE
+    """Lowest elevation [rad] to which the trackers point."""
     sights: DrawnSights | None = None
+    """Lines of sight to draw; None if they are not drawn."""
     target_covariances: Floats | None = None
     """Covariance (T, 3, 3) [m^2] of each of T targets; None if unknown."""
     target_corrections: Floats | None = None
@@ -86,7 +95,7 @@ class WorkshopScene(ValueEquality):
     obstacle_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners (k, 3, 3) [m] of the k triangles of obstacles."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """Index of station and target of each of k lines of sight that an obstacle blocks, (k, 2)."""
+    """Index of station and target (k, 2) of each of k lines of sight that an obstacle blocks."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
@@ -97,7 +106,10 @@ class WorkshopScene(ValueEquality):
 
     @property
     def shadow_cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`."""
+        """Full angles [rad] of the cones below a tracker in which it sees nothing.
+
+        They are that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`.
+        """
         limit = default_shadow_cone_opening(self.elevation_min)
         return (
             (limit,)
@@ -106,17 +118,20 @@ class WorkshopScene(ValueEquality):
         )
 
     def shadow_radii_on_floor(self, opening: float) -> Floats:
-        """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
+        """Radius (S,) [m] on the floor of the cone below each of S stations in which the tracker sees nothing.
+
+        `opening` [rad] is the full angle of the cone.
+        """
         return shadow_cone_radii(self.station_positions, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
-        """Indices of the targets that belong to the gauge."""
+        """Indices of the targets that belong to the gauge (reflectors at known distances)."""
         return tuple(sorted({i for pair in self.gauge_pairs for i in pair}))
 
     @property
     def largest_extent(self) -> float:
-        """Largest extent [m] of the targets and stations."""
+        """Largest extent [m] of the targets and stations along an axis."""
         points = np.concatenate([self.target_points, self.station_positions])
         return float(np.max(np.ptp(points, axis=0)))
 
@@ -124,7 +139,7 @@ class WorkshopScene(ValueEquality):
         """Lines of sight to nests with a normal, and the angle [deg] between beam and normal; None without normals."""
         if self.sights is None or not np.isfinite(self.nest_normals).any():
             return None
-        station, target = self.sights.station, self.sights.target
+        station, target = self.sights.station_indices, self.sights.target_indices
         beam = self.station_positions[station] - self.target_points[target]
         cosine = np.sum(beam * self.nest_normals[target], axis=1) / np.linalg.norm(beam, axis=1)
         has_normal = np.isfinite(cosine)
@@ -132,7 +147,7 @@ class WorkshopScene(ValueEquality):
         return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
     def with_sights_coloured_by(self, quantity: str) -> WorkshopScene:
-        """Workshop with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
+        """Scene with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
@@ -140,7 +155,10 @@ class WorkshopScene(ValueEquality):
 def workshop_from_adjustment(
     adjustment: Adjustment, *, adjustment_without_parameters: Adjustment | None = None
 ) -> WorkshopScene:
-    """Workshop of an adjusted network; arrows show the change of the targets by the instrument's parameters."""
+    """Scene of an adjusted network; arrows show the change of the targets by the instrument's parameters.
+
+    The change is relative to `adjustment_without_parameters`; None for a scene without arrows.
+    """
     recording, state = adjustment.recording, adjustment.state
     largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
     has_plan_position = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
@@ -170,7 +188,7 @@ def workshop_from_adjustment(
 
 
 def workshop_from_recording(recording: Recording) -> WorkshopScene:
-    """Workshop of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
+    """Scene of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
 
     Arrows show the change of the targets by the estimation of these parameters.
     """
@@ -185,7 +203,10 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
 
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
-    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
+    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one.
+
+    The gauge is a group of reflectors at known distances.
+    """
     floor_plan = FloorPlanTransform.from_positions(
         setup, scene.stations, scene.station_positions, scene.station_rotations
     )
@@ -243,6 +264,7 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
     """Vertical walls with at least four nests: each is an axis (0: x, 1: y), a sign, and a coordinate [m] on that axis.
 
     The sign is the direction from the wall into the hall. The nests face the hall, and no target is behind the wall.
+    `points` and `nest_normals` are the coordinates and the unit normals of the nests.
     """
     planes = []
     for axis in range(2):
@@ -250,14 +272,14 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
             depths = direction * points[:, axis]
             rearmost = float(depths.min())
             faces_hall = np.nan_to_num(direction * nest_normals[:, axis]) > MIN_WALL_NEST_NORMAL_COMPONENT
-            if np.sum(faces_hall & (depths < rearmost + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
+            if np.sum(faces_hall & (depths < rearmost + MAX_WALL_NEST_DEPTH_DIFFERENCE)) >= 4:
                 planes.append((axis, direction, direction * (rearmost - 0.05)))
     return planes
 
 
 def _floor_rectangle(positions: Floats, wall_planes: list[tuple[int, float, float]]) -> Floats:
     """Corners (4, 2) [m] of the axis-parallel rectangle around n positions (n, 2), with a margin where no wall is."""
-    (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
+    (x0, y0), (x1, y1) = positions.min(axis=0) - DRAWN_FLOOR_MARGIN, positions.max(axis=0) + DRAWN_FLOOR_MARGIN
     wall_by_direction = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     wall_by_direction |= {(axis, side): place for axis, side, place in wall_planes}
     x0, x1, y0, y1 = (
@@ -281,12 +303,12 @@ def _wall_corners(wall_planes: list[tuple[int, float, float]], floor: Floats, lo
 
 
 def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
-    """Workshop of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
+    """Scene of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
 
     Raises
     ------
     InputError
-        If the gauge or a CAD file of the scenario is invalid.
+        If the gauge (reflectors at known distances) or a CAD file of the scenario is invalid.
     """
     layout = planned_layout(scenario)
     visibility = make_visibility(scenario, layout)
@@ -318,7 +340,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
 def workshop_with_cad(
     workshop: WorkshopScene, file: Path, unit: str | None = None, vertical_axis: str | None = None
 ) -> WorkshopScene:
-    """Workshop with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
+    """Scene with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
 
     Raises
     ------

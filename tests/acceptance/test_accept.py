@@ -220,7 +220,7 @@ def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pyt
     assert run(["accept", str(write(tmp_path, text))]) == 2
     said = capsys.readouterr().err
     assert said.endswith(
-        "it should give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in\n"
+        "give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in\n"
     )
     assert run(["accept", str(write(tmp_path, f'{text}\nadditional_tests_file = "plan.csv"', plan=PLAN))]) == 0
     assert "passes all 20 tests" in capsys.readouterr().out

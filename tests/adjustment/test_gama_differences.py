@@ -455,7 +455,7 @@ def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
     both = {names.index("transit-offset"): 4.0, names.index("range-offset"): 3.0}
     logs = {k: np.where(np.arange(len(names)) == k, size, -9.0) for k, size in both.items()}
     monkeypatch.setattr(instruments, "forward_select", lambda evidence, least: logs)
-    (told,) = instruments.find_contradictions(found).contradictions
+    (told,) = instruments.find_contradicting_instrument_constants(found).contradictions
     assert told.parameter.name == "transit-offset"
     assert np.isfinite(told.sigma)
 

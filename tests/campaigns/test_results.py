@@ -75,7 +75,7 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
     assert [(row.level, row.line_label) for row in one] == [(1, "network"), (2, "network")]
     with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
         sweep.plot("target_error_um", "angle_noise_arcsecs")
-    with pytest.raises(ModelError, match=r"several cells have the same place.*faces"):
+    with pytest.raises(ModelError, match=r"several cells share a position on the axis.*faces"):
         sweep.plot("target_error_um", "angle_noise_arcsec")
     with pytest.raises(ModelError, match="give a factor of the campaign: faces or angle_noise_arcsec"):
         sweep.plot("target_error_um")

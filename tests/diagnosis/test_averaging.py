@@ -15,7 +15,7 @@ from ltsim.diagnosis.averaging import (
     first_order_reading_change,
     max_subtracted_shift_fraction,
 )
-from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
+from ltsim.diagnosis.hypotheses import Hypothesis, HypothesisRanking
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -57,14 +57,16 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     found = case.searcher.model_with([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
-    linear = -case.searcher.space.target_shifts(first_order_reading_change(case.searcher, found))
+    linear = -case.searcher.residual_space.target_shifts(first_order_reading_change(case.searcher, found))
     expected, shift = (
         remove_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
         for change in (fitted.adjustment.state.target_points - points, linear)
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
-    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.hypotheses, 0.0)] * 2, fitted)
+    targets, change = average_over_explanations(
+        case.searcher, found, [HypothesisRanking(found.hypotheses, 0.0)] * 2, fitted
+    )
     refitted = np.zeros_like(change)
     refitted[case.is_used_reading] = (
         first_order_reading_change(case.searcher, found)[: int(case.is_used_reading.sum())]
@@ -82,7 +84,7 @@ def test_noise_moves_no_target() -> None:
         EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
     )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
-    ranking = Ranking((noise, law), 8.0)
+    ranking = HypothesisRanking((noise, law), 8.0)
     weights, changes = alternative_probabilities_and_reading_changes(
         case.searcher, case.searcher.empty_model, law, ranking, 1.0
     )

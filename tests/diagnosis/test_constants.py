@@ -15,10 +15,10 @@ from ltsim.calibration.evidence import (
 )
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.instruments import (
-    ConstantChange,
-    ExpectedConstants,
-    constants_contradicting_expectation,
-    find_contradictions,
+    ExpectedInstrumentConstants,
+    InstrumentConstantChange,
+    find_contradicting_instrument_constants,
+    instrument_constants_contradicting_expectation,
 )
 from ltsim.diagnosis.prior import log_prior_of_each_explanation
 from ltsim.physics.model.construction import misalignment_construction
@@ -58,9 +58,9 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
         adjustment.state.instrument_parameters.ravel(), adjustment.covariance_of_all_instruments, unit, unit
     )
     expected = 0.04 * np.eye(32)
-    changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))
-    found = constants_contradicting_expectation(
-        adjustment, ExpectedConstants(np.zeros(32), expected, changes)
+    changes = tuple(InstrumentConstantChange((1,), k, "nothing") for k in range(16))
+    found = instrument_constants_contradicting_expectation(
+        adjustment, ExpectedInstrumentConstants(np.zeros(32), expected, changes)
     ).contradictions
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
@@ -85,7 +85,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
-    found = find_contradictions(
+    found = find_contradicting_instrument_constants(
         adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction())
     ).contradictions
     assert found
@@ -119,7 +119,7 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     recording = recording.with_readings(
         exact + recording.reading_sigmas() * random_stream(8, "noise").standard_normal(exact.shape)
     )
-    found = find_contradictions(adjust(recording, built)).contradictions
+    found = find_contradicting_instrument_constants(adjust(recording, built)).contradictions
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
     assert abs(both.difference_from_reference - 20e-6) < 4 * both.sigma
@@ -127,10 +127,12 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
     assert (
-        find_contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction())).contradictions
+        find_contradicting_instrument_constants(
+            adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction())
+        ).contradictions
         == ()
     )
-    found = find_contradictions(
+    found = find_contradicting_instrument_constants(
         adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction())
     ).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]

@@ -185,7 +185,7 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
 
     def with_noise(*arguments):
         state, model = select_noise_and_effects(*arguments)
-        return replace(state, noise_changes=(noisy,)), model
+        return replace(state, selected_noise_hypotheses=(noisy,)), model
 
     monkeypatch.setattr("ltsim.diagnosis.diagnose.select_noise_and_effects", with_noise)
     told = diagnose(recording).findings

@@ -109,8 +109,8 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     noise = np.zeros((space.n_equations, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
     heavy = space.whitened_residuals + space.project(noise)[:, 0]
-    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
-    best = bank.ranked_noise_changes(heavy, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
+    bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
+    best = bank.ranked_noise_hypotheses(heavy, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
     assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
     fitted = with_estimated_sizes(replace(space, whitened_residuals=heavy), space.sigma, best)
     added = np.array(fitted.sizes)[np.nonzero(space.is_used_reading)[0][ranges]]

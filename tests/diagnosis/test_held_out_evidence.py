@@ -9,17 +9,17 @@ from scipy.special import expit
 import ltsim.diagnosis.diagnose as steps
 from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
+from ltsim.diagnosis.hypotheses import Hypothesis, HypothesisRanking
 from ltsim.physics.effects import find_effect
 from tests.networks import with_effect
 
 CONTRADICTED = HeldOutErrors(1.2, 1.8, log_score_gain=-200.0, log_score_gain_sigma=20.0)
 
 
-def ranking(unmodelled: float = -np.inf) -> Ranking:
+def ranking(unmodelled: float = -np.inf) -> HypothesisRanking:
     effect = find_effect("range-cyclic")()
     entries = tuple(Hypothesis(effect, 0.0, v, n) for v, n in ((30.0, "range-cyclic"), (28.0, "window")))
-    return Ranking(entries, float(np.logaddexp(30.0, 28.0)), unmodelled)
+    return HypothesisRanking(entries, float(np.logaddexp(30.0, 28.0)), unmodelled)
 
 
 def test_a_gain_within_its_scatter_is_no_evidence_against_a_model() -> None:

@@ -21,7 +21,7 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
-from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
+from ltsim.diagnosis.instruments import ExpectationFromEarlierCalibrations, InstrumentConstantContradiction
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
@@ -55,7 +55,7 @@ def estimated(faces: int, truth: Floats, rng: np.random.Generator) -> Floats:
 
 def told(
     faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX
-) -> tuple[ConstantContradiction, ...]:
+) -> tuple[InstrumentConstantContradiction, ...]:
     """Contradictions of a day with some calibrations before it, one constant off by `blow` guarantees."""
     rng = random_stream(61, "days", faces, count, seed)
     calibration, adjustment = measured(faces)
@@ -75,7 +75,7 @@ def told(
 
 def against(
     known: EarlierCalibrationPrior, adjustment: Adjustment, values: Floats
-) -> tuple[ConstantContradiction, ...]:
+) -> tuple[InstrumentConstantContradiction, ...]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
     covariance, recording = adjustment.covariance_of_all_instruments, adjustment.recording
@@ -86,8 +86,8 @@ def against(
         recording=recording,
         problem=adjustment.problem,
     )
-    expectation = HistoryExpectation.from_calibrations(known, recording, BUILT)
-    return expectation.find_contradictions(other).contradictions
+    expectation = ExpectationFromEarlierCalibrations.from_calibrations(known, recording, BUILT)
+    return expectation.find_contradicting_instrument_constants(other).contradictions
 
 
 @pytest.mark.long

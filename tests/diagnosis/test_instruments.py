@@ -9,8 +9,8 @@ from ltsim.adjustment import adjust
 from ltsim.core.notation import with_sigma
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.instruments import find_contradictions, instrument_entries
-from ltsim.diagnosis.sentences import significant_constants_texts
+from ltsim.diagnosis.instruments import find_contradicting_instrument_constants, instrument_entries
+from ltsim.diagnosis.sentences import significant_instrument_constant_texts
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -52,11 +52,15 @@ def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
 
 
 def test_trackers_alike_contradict_nothing():
-    assert find_contradictions(adjust(trackers(0.0), misalignment_construction())).contradictions == ()
+    assert (
+        find_contradicting_instrument_constants(adjust(trackers(0.0), misalignment_construction())).contradictions == ()
+    )
 
 
 def test_a_corrected_tracker_is_held_to_its_word():
-    found = find_contradictions(adjust(trackers(60e-6, corrected=True), misalignment_construction())).contradictions
+    found = find_contradicting_instrument_constants(
+        adjust(trackers(60e-6, corrected=True), misalignment_construction())
+    ).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
     assert "correction" in found[0].reference_text
 
@@ -111,7 +115,7 @@ def test_constants_that_are_clear_are_named_as_a_person_would():
     values = drawn(built, 2)
     values[built.parameter_names.index("vertical-index")] = 60e-6
     entries = instrument_entries(adjust(network(values=values, seed=3)[0], built))
-    named = significant_constants_texts(entries)
+    named = significant_instrument_constant_texts(entries)
     assert 0 < len(named) <= 5
     (index,) = (words for words in named if words.startswith("vertical index"))
     assert index.startswith("vertical index, effective over the angles used, of the instrument: ")

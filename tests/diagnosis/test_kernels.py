@@ -14,7 +14,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
-from ltsim.diagnosis.evidence import index_of_largest, ranked_indices
+from ltsim.diagnosis.evidence import index_of_most_evidence, indices_by_evidence
 
 CODE = """
 import json, sys
@@ -69,7 +69,7 @@ def test_a_choice_among_equal_values_does_not_follow_rounding() -> None:
     rng = np.random.default_rng(1)
     for _ in range(20):
         rounded = values + 0.01 * NORMAL_EQUATIONS_TOLERANCE * rng.standard_normal(len(values))
-        assert index_of_largest(rounded) == 2
-        assert ranked_indices(rounded).tolist() == [1, 2, 3, 4, 0]
-    assert ranked_indices(np.array([])).tolist() == []
-    assert ranked_indices(np.array([-np.inf, 0.0, -np.inf])).tolist() == [1, 0, 2]
+        assert index_of_most_evidence(rounded) == 2
+        assert indices_by_evidence(rounded).tolist() == [1, 2, 3, 4, 0]
+    assert indices_by_evidence(np.array([])).tolist() == []
+    assert indices_by_evidence(np.array([-np.inf, 0.0, -np.inf])).tolist() == [1, 0, 2]

@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.prior import CAUSE_PRIOR
+from ltsim.diagnosis.prior import PRIOR_PROBABILITY_BY_CAUSE_KIND
 from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.turbulence import Turbulence
@@ -32,7 +32,7 @@ def repeated():
     space = ResidualSpace.from_adjustment(
         adjust_from_state(recording, misalignment_construction(), start_state=truth.state)
     )
-    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
 
@@ -48,7 +48,10 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noise_changes)))
+    names = (
+        *bank.family_names,
+        *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noise_hypotheses)),
+    )
     return dict(zip(names, bank.log_evidence_by_family(residual[:, None], redundancy)[:, 0], strict=True))
 
 
@@ -85,7 +88,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     )
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.whitened_residuals + space.project(change)[:, 0]
-    best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
+    best = bank.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.plausible_sizes) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
@@ -102,7 +105,7 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     change = np.zeros((space.n_equations, 1))
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.whitened_residuals + space.project(change)[:, 0]
-    first = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
+    first = bank.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
 
@@ -115,8 +118,8 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     residual = scattered(space, pair, shared=False)
     nothing = np.zeros((space.n_equations, 0))
     sums = bank.averaging_matrix.toarray()
-    for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
-        i = int(np.flatnonzero(bank.family_indices == i)[-1]) if i < len(bank.families) else i
+    for i in (0, 20, len(bank.hypotheses) // 2, bank.family_names.index("unknown:noise:repeating")):
+        i = int(np.flatnonzero(bank.family_indices == i)[-1]) if i < len(bank.family_names) else i
         grown = np.ones(space.n_equations + len(sums))
         places, logs = bank.variance_factors.affected_rows_and_log_factors(i)
         grown[places] = np.exp(logs)
@@ -150,8 +153,8 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     whole = logsumexp([*one, sum(one)]) - np.log(3)
     rough = replace(bank, parameter_basis=None)  # in its diagonal form
     found = {
-        h.family: value
-        for value, h in rough.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))
+        h.family_name: value
+        for value, h in rough.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))
     }
     assert found["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
@@ -183,7 +186,7 @@ def test_a_wrong_declaration_of_the_noise_has_a_larger_prior_than_a_particular_c
     _, _, bank = repeated
     names = "noise-level", "turbulence", "station-noise"
     prior = dict(zip(names, np.exp([bank.log_prior_of_family(name) for name in names]), strict=True))
-    assert sum(prior.values()) == pytest.approx(CAUSE_PRIOR["noise"])
+    assert sum(prior.values()) == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"])
     assert prior["noise-level"] > prior["turbulence"] + prior["station-noise"]
     assert prior["turbulence"] == pytest.approx(prior["station-noise"])
 
@@ -217,7 +220,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
     space, _, bank = repeated
     white = space.project(random_stream(2, "white").standard_normal((space.n_equations, 200)))
     mean = np.log(np.exp(bank.log_evidence_by_family(white, space.redundancy)).mean(axis=1).sum())
-    assert mean < np.log(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"]) + 1.0
+    assert mean < np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"] + PRIOR_PROBABILITY_BY_CAUSE_KIND["scatter"]) + 1.0
 
 
 def test_means_of_repeats_are_of_unit_variance(repeated):
@@ -240,7 +243,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     space = ResidualSpace.from_adjustment(
         adjust_from_state(recording, misalignment_construction(), start_state=truth.state)
     )
-    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
     more = {}
@@ -272,15 +275,15 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
     noisy = recording.replace(readings=recording.readings + drawn)
     adjusted = adjust_from_state(noisy, misalignment_construction(), start_state=truth.state)
     state = SelectionState.from_adjustment(adjusted, adjusted.problem.is_used_reading, 0, None)
-    level = next(h for _, h in state.ranked_noise_changes(state.empty_model) if h.effect.name == "noise-level")
-    found = with_estimated_sizes(state.space, noisy.reading_sigmas(), level)
+    level = next(h for _, h in state.ranked_noise_hypotheses(state.empty_model) if h.effect.name == "noise-level")
+    found = with_estimated_sizes(state.residual_space, noisy.reading_sigmas(), level)
     np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)
 
 
 def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_end(repeated) -> None:
     """Their redundancy is a rounding error; where it is negative the likelihood rises with the noise without end."""
     space, _, bank = repeated
-    (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == "target")
+    (mixture, *_) = (g for g in bank.group_noise_hypotheses if getattr(g.effect, "group_kind", "") == "target")
     is_first = np.zeros(space.n_equations, dtype=bool)
     is_first[: int(space.is_used_reading.sum())] = (space.sightings.target == 0)[np.nonzero(space.is_used_reading)[0]]
     projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0 + 1e-15, 1.0 - space.redundancy))
@@ -295,7 +298,7 @@ def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_
 def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence(repeated, group_kind: str) -> None:
     """Also where an effect has left a target quiet that was noisy when the change was selected."""
     space, _, bank = repeated
-    (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == group_kind)
+    (mixture, *_) = (g for g in bank.group_noise_hypotheses if getattr(g.effect, "group_kind", "") == group_kind)
     pointing = np.nonzero(space.is_used_reading)[0]
     factors = np.ones(space.n_equations)
     factors[: len(pointing)] = np.where(space.sightings.target[pointing] == 2, 4.0, 1.0)

@@ -52,10 +52,10 @@ def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
     size = np.array([2000.0, 0.0]) * MICROMETRE
     shifted = recording.with_readings(recording.readings + effect.reading_change(adjust(recording).sightings, size))
     state = SelectionState.from_adjustment(adjust(shifted), adjust(shifted).problem.is_used_reading, 0, None)
-    ((_, hypothesis),) = log_evidence_and_centring_hypotheses(state.space)
+    ((_, hypothesis),) = log_evidence_and_centring_hypotheses(state.residual_space)
     assert hypothesis.sizes[0] > 2.0 * SIGMA
-    state = state.with_noise_change(hypothesis, [effect])
-    assert state.noise_changes[0].sizes[0] == pytest.approx(SIGMA, rel=0.25)
+    state = state.with_noise_hypothesis(hypothesis, [effect])
+    assert state.selected_noise_hypotheses[0].sizes[0] == pytest.approx(SIGMA, rel=0.25)
 
 
 def test_no_centring_errors_without_displacements_or_occupations() -> None:

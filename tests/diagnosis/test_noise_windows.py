@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GroupNoiseMixture, RecordingNoiseLevel
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.noise_windows import OBSERVABLE_SET_INDICATORS, WINDOW_VARIANCE_FACTORS, NoiseWindows
+from ltsim.diagnosis.noise_windows import NOISY_OBSERVABLE_SET_INDICATORS, NOISY_WINDOW_VARIANCE_FACTORS, NoiseWindows
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
@@ -39,13 +39,13 @@ def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng
 
 def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis:
     """Most probable change of the noise for some residuals."""
-    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
-    return bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
+    bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
+    return bank.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
 
 
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 5)
-    windows = NoiseWindows.from_space(space)[0]
+    windows = NoiseWindows.from_residual_space(space)[0]
     residual = 1.5 * space.whitened_residuals[:, None]
     ratios = windows._log_likelihood_ratios(residual, space.redundancy)[..., 0].reshape(5, -1)
     logs = []
@@ -65,7 +65,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
         noisy |= (time > np.quantile(time, share)) & (time <= np.quantile(time, share + 0.1))
     residual = with_angular_noise(space, noisy, 4.0, random_stream(2, "compressor"))
     best = most_probable(space, residual)
-    assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
+    assert best.family_name == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
     fitted = with_estimated_sizes(replace(space, whitened_residuals=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.sizes[0]) < 5.5
@@ -77,7 +77,7 @@ def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace)
     noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))
     best = most_probable(space, with_angular_noise(space, noisy, 6.0, random_stream(3, "fan")))
     pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
-    assert best.family == "unknown:noise:windows"
+    assert best.family_name == "unknown:noise:windows"
     assert (pattern == noisy).mean() > 0.95
 
 
@@ -85,9 +85,9 @@ def test_expected_factors_are_the_mean_over_all_sequences(
     space: ResidualSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 4)
-    monkeypatch.setattr("ltsim.diagnosis.noise_windows.NOISY_STATE_VARIANCE_FACTOR_GRID", WINDOW_VARIANCE_FACTORS)
-    windows = NoiseWindows.from_space(space)[0]
-    residual, sets = 1.5 * space.whitened_residuals, len(OBSERVABLE_SET_INDICATORS)
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.NOISY_STATE_VARIANCE_FACTOR_GRID", NOISY_WINDOW_VARIANCE_FACTORS)
+    windows = NoiseWindows.from_residual_space(space)[0]
+    residual, sets = 1.5 * space.whitened_residuals, len(NOISY_OBSERVABLE_SET_INDICATORS)
     ratios = windows._log_likelihood_ratios(residual[:, None], space.redundancy)[..., 0].reshape(4, sets, -1)
     logs, added = [], []
     for go, acts, factor in product(
@@ -98,7 +98,8 @@ def test_expected_factors_are_the_mean_over_all_sequences(
             noisy = np.array(states[1:])
             logs.append(sum(odds) + noisy @ ratios[:, acts, factor])
             added.append(
-                (windows.variance_factor_grid[factor] - 1.0) * np.outer(noisy, OBSERVABLE_SET_INDICATORS[acts]).ravel()
+                (windows.variance_factor_grid[factor] - 1.0)
+                * np.outer(noisy, NOISY_OBSERVABLE_SET_INDICATORS[acts]).ravel()
             )
     weight = np.exp(np.array(logs) - log_sum_exp(np.array(logs)))
     expected = 1.0 + windows.group_indicators.T @ (weight @ np.array(added))
@@ -115,7 +116,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
     for seed in range(6):
         residual = with_angular_noise(space, noisy, 1.0, random_stream(seed, "edges"))
         case = replace(space, whitened_residuals=residual)
-        windows = NoiseWindows.from_space(case)[0]
+        windows = NoiseWindows.from_residual_space(case)[0]
         likeliest = windows.most_likely_effect(residual, space.redundancy)
         sizes = with_estimated_sizes(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
         single = (likeliest.variance(space.sightings, space.sigma, np.array(sizes)) / space.sigma**2)[used]
@@ -126,7 +127,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
 
 
 def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
-    level = RecordingNoiseLevel.from_space(space, allows_quieter=True)
+    level = RecordingNoiseLevel.from_residual_space(space, allows_noise_below_declared=True)
     doubled = level.expected_variance_factors(2.0 * space.whitened_residuals, space.redundancy)
     assert doubled[: int(space.is_used_reading.sum())] == pytest.approx(4.0, rel=0.25)
     assert (doubled[int(space.is_used_reading.sum()) :] == 1.0).all()

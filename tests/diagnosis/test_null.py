@@ -21,11 +21,11 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = random_stream(seed, "clean").standard_normal((searcher.space.n_equations, DRAWS))
-    others = searcher.space.project(white)
-    rest = Searcher(searcher.space, seed, 1, catalogue_designs=searcher.catalogue_designs)
+    white = random_stream(seed, "clean").standard_normal((searcher.residual_space.n_equations, DRAWS))
+    others = searcher.residual_space.project(white)
+    rest = Searcher(searcher.residual_space, seed, 1, catalogue_designs=searcher.catalogue_designs)
     rest.null_ensemble = with_trials(searcher.null_ensemble, others)
-    return rest._screening(rest.empty_model).null_statistics
+    return rest._screening(rest.empty_model).null_test_statistics
 
 
 @pytest.mark.long
@@ -37,7 +37,7 @@ def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)
         assert searcher.is_large_network == (most == 0)
-        null = GlobalTestResult(0.0, 1.0, searcher.empty_model_screening.null_statistics)
+        null = GlobalTestResult(0.0, 1.0, searcher.empty_model_screening.null_test_statistics)
         chances += [null.p_value_of(float(one)) for one in clean(searcher, seed)]
     for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
         assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)

@@ -19,7 +19,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import observables_changed_by_effect
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import GlobalTestResult
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, Misfit
 from ltsim.diagnosis.sentences import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
@@ -105,7 +105,7 @@ class Set:
 
     @property
     def model(self) -> SimpleNamespace:
-        return SimpleNamespace(hypotheses=[SimpleNamespace(key=name) for name in self.members])
+        return SimpleNamespace(hypotheses=[SimpleNamespace(effect_key=name) for name in self.members])
 
     @property
     def squared_residual_decreases(self) -> list[np.ndarray]:
@@ -151,7 +151,10 @@ def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -
     residual = 8.0 * basis[:, 0] + np.sqrt(1.6) * basis[:, 1:].sum(axis=1)
     members, parts = (cause("a", 1), cause("b", 10)), (10.0 * basis[:, :1], 100.0 * basis[:, 1:])
     norms = tuple(np.linalg.norm(part, axis=0) for part in parts)
-    model, reduced = Model(members, parts, norms, residual), Model(members[:1], parts[:1], norms[:1], residual)
+    model, reduced = (
+        EffectModel(members, parts, norms, residual),
+        EffectModel(members[:1], parts[:1], norms[:1], residual),
+    )
     drop = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
     assert drop == pytest.approx(16.0)
     assert 0.5 * drop + members[1].log_prior > 0.0

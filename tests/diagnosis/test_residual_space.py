@@ -8,8 +8,8 @@ import pytest
 
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.diagnosis.cross_validation import cross_validated_errors, fold_rows
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.cross_validation import cross_validated_errors, random_fold_row_indices
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
@@ -55,7 +55,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
 def test_held_out_error_is_that_of_refits_without_the_fold(space):
     recording = space.adjustment.recording
     square, count = 0.0, 0
-    for rows in fold_rows(space, 0):
+    for rows in random_fold_row_indices(space, 0):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
@@ -76,14 +76,14 @@ def test_held_out_error_is_one_where_the_model_holds(space):
 
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
-    groups = fold_rows(space, 3)
+    groups = random_fold_row_indices(space, 3)
     assert sorted(np.concatenate(groups)) == list(range(int(space.is_used_reading.sum())))
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
 def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
     recording, _ = network(seed=3, stations=3, repeats=2)
-    groups = fold_rows(ResidualSpace.from_adjustment(adjust(recording, misalignment_construction())), 3)
+    groups = random_fold_row_indices(ResidualSpace.from_adjustment(adjust(recording, misalignment_construction())), 3)
     pair = recording.station * len(recording.targets) + recording.target
     folds = [set(pair[rows // 3]) for rows in groups]
     assert len(set().union(*folds)) == sum(map(len, folds))
@@ -97,7 +97,9 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
         replace(space, whitened_residuals=space.whitened_residuals + sign * change) for sign in (1.0, -1.0)
     )
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
-    model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.whitened_residuals)
+    model = EffectModel(
+        (effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.whitened_residuals
+    )
     search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_effects=lambda *_, **__: model))
     supported, contradicted = (cross_validated_errors(data, 0, search) for data in (follows, opposes))
     assert supported.log_odds_of_model == 0.0

@@ -14,15 +14,15 @@ from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import RELATIVE_MODEL_ERROR, Hypothesis, Model, Ranking
+from ltsim.diagnosis.hypotheses import RELATIVE_ERROR_OF_LAW_FORM, EffectModel, Hypothesis, HypothesisRanking
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import (
-    CAUSE_PRIOR,
-    PLACE_PRIOR,
-    RESPONSE_PRIOR,
-    RESPONSE_PRIOR_AT_TARGETS,
+    PRIOR_PROBABILITY_BY_CAUSE_KIND,
+    PRIOR_PROBABILITY_BY_PLACE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND,
+    PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
     prior_table_rows,
 )
 from ltsim.physics.effects import find_effect
@@ -43,9 +43,9 @@ def space() -> ResidualSpace:
 @pytest.fixture(scope="module")
 def made(space):
     """All panels, scored once."""
-    probe = NullEnsemble.from_space(space, 0, 300)
+    probe = NullEnsemble.from_residual_space(space, 0, 300)
     found = law_batches(space)
-    return probe, found, [panel.best_laws_and_log_totals(probe) for panel in found]
+    return probe, found, [panel.best_laws_and_log_total_evidence(probe) for panel in found]
 
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
@@ -63,7 +63,12 @@ def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
 
 def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
-    for table in (CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS):
+    for table in (
+        PRIOR_PROBABILITY_BY_CAUSE_KIND,
+        PRIOR_PROBABILITY_BY_PLACE_KIND,
+        PRIOR_PROBABILITY_BY_RESPONSE_KIND,
+        PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
+    ):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in prior_table_rows()) == pytest.approx(1.0, abs=1e-12)
     assert np.exp(LOG_PRIOR_OF_EFFECT_SIZES).sum() == pytest.approx(1.0)
@@ -72,25 +77,27 @@ def test_priors_sum_to_one_over_everything(space, made):
         np.exp(p.log_prior_by_place).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
         for p in found
     )
-    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(space.sightings))
-    families = cards.log_evidence_by_family(np.zeros(len(cards.effects))) + cards.log_family_prior
-    noise = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    cards = CatalogueDesigns.from_residual_space(space, catalogue_candidate_effects(space.sightings))
+    families = cards.log_evidence_by_family(np.zeros(len(cards.effects))) + cards.log_prior_by_family
+    noise = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
         noise._log_evidence_from_ratios(np.zeros((len(noise.hypotheses), 1))),
-        [noise.log_prior_of_family(one.name) for one in noise.group_noise_changes],
+        [noise.log_prior_of_family(one.name) for one in noise.group_noise_hypotheses],
     )
-    assert laws == pytest.approx(CAUSE_PRIOR["law"])
-    assert np.exp(families).sum() == pytest.approx(CAUSE_PRIOR["named"])
-    assert np.exp(nothing).sum() == pytest.approx(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"])
+    assert laws == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"])
+    assert np.exp(families).sum() == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["named"])
+    assert np.exp(nothing).sum() == pytest.approx(
+        PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"] + PRIOR_PROBABILITY_BY_CAUSE_KIND["scatter"]
+    )
 
 
 def test_effects_of_the_catalogue_share_their_prior_by_their_base_rates(space):
     """Effects that shift readings among themselves, and so do changes of the noise."""
-    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(space.sightings))
-    prior = dict(zip(cards.families, cards.log_family_prior, strict=True))
+    cards = CatalogueDesigns.from_residual_space(space, catalogue_candidate_effects(space.sightings))
+    prior = dict(zip(cards.family_names, cards.log_prior_by_family, strict=True))
     assert prior["outlier"] - prior["window"] == pytest.approx(np.log(16.0))
     assert prior["station-bump"] - prior["head-sag"] == pytest.approx(np.log(4.0))
-    noise = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    noise = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     level, station = (noise.log_prior_of_family(name) for name in ("noise-level", "station-noise"))
     assert level - station == pytest.approx(np.log(4.0))
 
@@ -108,7 +115,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     designs = [space.whitened_design(e) for e in effects]
     left = [space.project(g) for g in designs]
     whole = space.whitened_residuals + 9e-6 * left[0][:, 0]
-    found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
+    found = EffectModel(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
     for one, weight in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
@@ -119,7 +126,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
     assert found.penalised_log_evidence == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = Model(tuple(members[:1]), tuple(left[:1]), found.design_column_norms[:1], whole)
+    single = EffectModel(tuple(members[:1]), tuple(left[:1]), found.design_column_norms[:1], whole)
     alone_ = log_evidence_of_coefficients(left[0].T @ left[0], left[0].T @ whole, sizes[0])
     assert single.penalised_log_evidence == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
@@ -151,7 +158,7 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
         hits = [
             h
             for panel in found
-            for h in panel.best_laws_and_log_totals(beside)[0]
+            for h in panel.best_laws_and_log_total_evidence(beside)[0]
             if not (h.place.stations or h.place.targets)
         ]
         same = (h for h in hits if (h.response.name, h.regressor) == (law.response.name, law.regressor))
@@ -171,10 +178,10 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     design_columns = space.whitened_design(found)
     left = space.project(design_columns)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
+    base = EffectModel((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
-        values = [alone(space, effect, base.residual, base.basis) for effect in effects]
+        values = [alone(space, effect, base.residual, base.projected_basis) for effect in effects]
         np.testing.assert_allclose(exact.log_evidence(effects, base), values, rtol=1e-8)
     np.testing.assert_allclose(exact.whitened_design(local[0]), space.whitened_design(local[0]))
 
@@ -185,7 +192,7 @@ def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("time", "saturated", 1e3))
     linear = replace(law, regressor=replace(law.regressor, function="power", constant=1.0))
     readings = 1e5 * space.whitened_design(linear) @ linear.plausible_sizes
-    base = Model((), (), (), space.project(readings[:, None])[:, 0])
+    base = EffectModel((), (), (), space.project(readings[:, None])[:, 0])
     inner = exact.log_evidence
     exact.log_evidence = lambda effects, model: steps.append(len(effects)) or inner(effects, model)
     ((_, value),) = exact.refine_locally([law], base)
@@ -196,17 +203,19 @@ def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
     """Marginal likelihood ratios average to one where there is nothing."""
     for _, _, null in made[2]:
-        assert log_sum_exp(null) - np.log(len(null)) < np.log(CAUSE_PRIOR["law"]) + 1.5
+        assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"]) + 1.5
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
-    probe = NullEnsemble.from_space(space, 0, 0)
+    probe = NullEnsemble.from_residual_space(space, 0, 0)
     assert probe.uses_monte_carlo_gram
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
-    _, _, sampled = CatalogueDesigns.from_space(space, effects).screen(probe)
+    _, _, sampled = CatalogueDesigns.from_residual_space(space, effects).screen(probe)
     monkeypatch.undo()
-    _, _, exact = CatalogueDesigns.from_space(space, effects).screen(NullEnsemble.from_space(space, 0, 0))
+    _, _, exact = CatalogueDesigns.from_residual_space(space, effects).screen(
+        NullEnsemble.from_residual_space(space, 0, 0)
+    )
     for one, other in zip(sampled.groups, exact.groups, strict=True):
         np.testing.assert_allclose(one.projected_gram, other.projected_gram, rtol=0.4)
 
@@ -217,13 +226,13 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
     design_columns = space.whitened_design(member.effect)
     left = space.project(design_columns)
-    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.whitened_residuals)
+    base = EffectModel((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.whitened_residuals)
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
-        probe = NullEnsemble.from_space(space, 0, 0)
-        _, _, cards = CatalogueDesigns.from_space(space, steps).screen(probe)
-        values.append(cards.screen(probe.with_model(base.residual, base.basis))[0])
+        probe = NullEnsemble.from_residual_space(space, 0, 0)
+        _, _, cards = CatalogueDesigns.from_residual_space(space, steps).screen(probe)
+        values.append(cards.screen(probe.with_model(base.residual, base.projected_basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 
@@ -250,9 +259,9 @@ def test_a_negative_thickness_is_no_explanation():
 
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
-    def ranking(**values: float) -> Ranking:
+    def ranking(**values: float) -> HypothesisRanking:
         law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
-        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
+        return HypothesisRanking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).most_probable_name() == "window"
     assert ranking(unknown=10.0, window=9.0, backlash=8.0).most_probable_name() == "unknown"
@@ -264,6 +273,6 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]
-    found = [Model((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
-    assert found[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_MODEL_ERROR * whole @ whole)
+    found = [EffectModel((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
+    assert found[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_ERROR_OF_LAW_FORM * whole @ whole)
     assert found[1].discrepancy_penalty == 0.0

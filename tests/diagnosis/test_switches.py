@@ -9,7 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.switches import _best_span_states, _span_gram_and_score, switched_forms
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -33,10 +33,12 @@ def space() -> ResidualSpace:
     return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
-def with_law(space: ResidualSpace, law: EmpiricalLaw, chi2: float) -> Model:
+def with_law(space: ResidualSpace, law: EmpiricalLaw, chi2: float) -> EffectModel:
     """Model without members, whose residuals hold a law of a given chi-square."""
     design_columns = space.project(space.whitened_design(law))[:, 0]
-    return Model((), (), (), space.whitened_residuals + design_columns * np.sqrt(chi2) / np.linalg.norm(design_columns))
+    return EffectModel(
+        (), (), (), space.whitened_residuals + design_columns * np.sqrt(chi2) / np.linalg.norm(design_columns)
+    )
 
 
 def at(space: ResidualSpace, *shares: float) -> list[Regressor]:

@@ -9,9 +9,9 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.diagnosis.shape_constants import estimates_averaged_over_shapes
+from ltsim.diagnosis.shape_parameters import estimates_averaged_over_shapes
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_step import RangeStep
 from ltsim.physics.effects.station_bump import StationBump
@@ -32,11 +32,11 @@ def posterior_of_time(
     calculator: EvidenceCalculator, effect: CandidateEffect, size: float, seed: int
 ) -> ParameterEstimate:
     """Estimate of the time of a change of `size` plausible sizes, from drawn readings."""
-    space, draw = calculator.space, random_stream(seed, "time of change")
+    space, draw = calculator.residual_space, random_stream(seed, "time of change")
     values = size * effect.plausible_sizes * draw.standard_normal(len(effect.plausible_sizes))
     noise = draw.standard_normal(len(space.whitened_residuals))
     residuals = space.project((noise + space.whitened_design(effect) @ values)[:, None])[:, 0]
-    base = Model((), (), (), residuals)
+    base = EffectModel((), (), (), residuals)
     every = effect.neighbours(space.sightings)
     best = every[int(np.argmax(calculator.log_evidence(every, base)))]
     return estimates_averaged_over_shapes(calculator, best, base, ())["time"]
@@ -51,7 +51,7 @@ def test_intervals_of_the_time_of_a_change_hold(
     calculator: EvidenceCalculator, kind: type, place: dict[str, tuple[str, ...]], size: float
 ) -> None:
     """Changes at times that are uniform between the first and the last pointing; 95 % intervals hold in 95 %."""
-    sightings, draw, inside = calculator.space.sightings, random_stream(5, "times"), []
+    sightings, draw, inside = calculator.residual_space.sightings, random_stream(5, "times"), []
     acts = kind(**{"stations": (), **place}, time=0.0).pointing_indicator(sightings) > 0
     ordered = np.unique(sightings.time[acts])
     for seed in range(TRIALS):
@@ -62,7 +62,7 @@ def test_intervals_of_the_time_of_a_change_hold(
 
 
 def test_a_large_motion_is_uniform_in_its_gap(calculator: EvidenceCalculator) -> None:
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     ordered = np.unique(sightings.time[sightings.target == sightings.target_names.index("T07")])
     gap = int(np.argmax(np.diff(ordered)))
     time = float(ordered[gap] + 0.9 * (ordered[gap + 1] - ordered[gap]))

@@ -14,7 +14,7 @@ from ltsim.core.limits import MAX_FIGURE_ITEMS, MAX_RESULT_LIST_ENTRIES
 from ltsim.recordings.result_file import read_result
 from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.schemas import MODEL_BY_FILE_NAME
-from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
+from ltsim.reports.sections import SECTION_FUNCTION_BY_RESULT_FILE, read_content, result_section
 from tests.reports import samples
 from tests.reports.test_page import Reader, parsed
 
@@ -145,10 +145,10 @@ def sentence(file: Path, content: Any) -> str:
 
 
 def test_there_is_a_sample_of_each_result_that_has_a_section() -> None:
-    assert {*CONTENTS, "plan.json"} == {*SECTION_WRITERS}
+    assert {*CONTENTS, "plan.json"} == {*SECTION_FUNCTION_BY_RESULT_FILE}
 
 
-@pytest.mark.parametrize("name", SECTION_WRITERS)
+@pytest.mark.parametrize("name", SECTION_FUNCTION_BY_RESULT_FILE)
 def test_altered_results_are_a_section_or_a_sentence(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
     read_result(_written(tmp_path / name, content), MODEL_BY_FILE_NAME[name])  # type: ignore[type-var]
@@ -167,7 +167,7 @@ def _written(file: Path, content: Any) -> Path:
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore")  # as the command does
-@pytest.mark.parametrize("name", SECTION_WRITERS)
+@pytest.mark.parametrize("name", SECTION_FUNCTION_BY_RESULT_FILE)
 def test_altered_results_are_drawn_or_refused(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
     for number, changed in enumerate(altered(content)):
@@ -218,7 +218,7 @@ def with_text(content: Any, is_accepted: Callable[[Any], bool]) -> tuple[Any, in
 
 
 @pytest.mark.filterwarnings("ignore")  # as the command does
-@pytest.mark.parametrize("name", SECTION_WRITERS)
+@pytest.mark.parametrize("name", SECTION_FUNCTION_BY_RESULT_FILE)
 def test_markup_in_any_text_of_a_result_is_text_on_its_page(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
     n_scripts = page_of(tmp_path, name, content).tags.count("script")
@@ -264,7 +264,7 @@ def test_a_figure_of_very_many_items_is_a_note(tmp_path: Path, name: str, list_n
     assert content[list_name]
     many = content | {list_name: content[list_name][:1] * (MAX_FIGURE_ITEMS + 1)}
     page = page_of(tmp_path, name, many)
-    assert any(f"are too many to draw; at most {MAX_FIGURE_ITEMS} are" in text for text in page.text)
+    assert any(f"are too many to draw; the limit is {MAX_FIGURE_ITEMS}" in text for text in page.text)
 
 
 def test_characters_that_turn_the_direction_of_writing_do_not_reach_a_page(tmp_path: Path) -> None:

@@ -131,7 +131,7 @@ def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> No
 
 def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
     titles = [block.title for block in contents["diagnosis"].sections[0].blocks]
-    assert {"Effect of finding 1", "Finding 1 in figures", "Fit before and after"} <= set(titles)
+    assert {"Effect of finding 1", "Finding 1 in figures", "Misfit without and with the findings"} <= set(titles)
 
 
 def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:

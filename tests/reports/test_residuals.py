@@ -20,9 +20,9 @@ def test_file_and_adjustment_agree(tmp_path: Path) -> None:
     file = tmp_path / "residuals.csv"
     file.write_text(residuals_table(samples.after()).csv_text())
     read = Residuals.read(file)
-    assert read.data_row.tolist() == direct.data_row.tolist()
+    assert read.data_row_numbers.tolist() == direct.data_row_numbers.tolist()
     assert read.stations == direct.stations
-    assert read.residual == pytest.approx(direct.residual, abs=1e-4)
+    assert read.displayed_residual == pytest.approx(direct.displayed_residual, abs=1e-4)
     assert read.normalised_residual == pytest.approx(direct.normalised_residual, abs=1e-3)
     borrowed = read.with_covariates(direct)
     assert borrowed.covariates["elevation"] == pytest.approx(direct.covariates["elevation"])
@@ -40,7 +40,9 @@ def test_other_noise_is_no_change_of_the_residuals() -> None:
     )  # as if the noise had been found twice as large
     assert louder.normalised_by_noise_of(stated).normalised_residual == pytest.approx(stated.normalised_residual)
     assert np.isnan(
-        louder.normalised_by_noise_of(replace(stated, data_row=stated.data_row + 10_000)).normalised_residual
+        louder.normalised_by_noise_of(
+            replace(stated, data_row_numbers=stated.data_row_numbers + 10_000)
+        ).normalised_residual
     ).all()
 
 
@@ -49,7 +51,7 @@ def test_without_a_clock_the_row_stands_for_the_time() -> None:
     assert set(Residuals.from_adjustment(adjust(made)).covariates) & {"time", "row"} == {"time"}
     timeless = Residuals.from_adjustment(adjust(made.replace(has_clock=False)))
     assert set(timeless.covariates) & {"time", "row"} == {"row"}
-    assert timeless.covariates["row"] == pytest.approx(timeless.data_row)
+    assert timeless.covariates["row"] == pytest.approx(timeless.data_row_numbers)
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_scenario_stands_as_planned() -> None:
     shown = workshop_scene.workshop_from_scenario(scenario)
     assert shown.station_positions[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
     assert shown.sights is not None
-    assert len(shown.sights.station) == 5 * 28
+    assert len(shown.sights.station_indices) == 5 * 28
     assert len(shown.gauge_pairs) == 6
 
 
@@ -126,14 +126,14 @@ def test_obstacle_hides_and_is_drawn() -> None:
     room = scenario.workshop.model_copy(update={"obstacles": (press,)})
     shown = workshop_scene.workshop_from_scenario(scenario.model_copy(update={"workshop": room}))
     assert shown.sights is not None
-    assert len(shown.sights.station) < 140
+    assert len(shown.sights.station_indices) < 140
     assert shown.notes
-    assert len(shown.blocked_sights) == 140 - len(shown.sights.station)
+    assert len(shown.blocked_sights) == 140 - len(shown.sights.station_indices)
     drawn = floor_plan(shown)
     assert any("slices are" in text.get_text() for text in drawn.legends[0].get_texts())
     seen = [len(dots.get_offsets()) for dots in drawn.axes[0].collections if len(dots.get_paths()[0]) == 26]
     _circles, *slices = seen
-    assert slices == np.bincount(shown.sights.station, minlength=5).tolist()
+    assert slices == np.bincount(shown.sights.station_indices, minlength=5).tolist()
     plotter, _ = scene3d.build_scene(shown)
     bounds = plotter.actors["obstacles"].bounds
     assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))

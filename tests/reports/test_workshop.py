@@ -51,11 +51,11 @@ def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene)
     walls = workshop_scene.workshop_with_surroundings(scene, made.setup.model_copy(update={"targets": fixed}))
     sights = walls.with_sights_coloured_by("incidence").sights
     assert sights is not None
-    first = (sights.station == 0) & (sights.target == 0)
+    first = (sights.station_indices == 0) & (sights.target_indices == 0)
     beam = STATIONS[0] - mesh()[0]
     expected = np.degrees(np.arccos(beam[0] / np.linalg.norm(beam)))
-    assert sights.value[first] == pytest.approx(expected, abs=0.1)
-    assert sights.value.max() < 90.0
+    assert sights.values[first] == pytest.approx(expected, abs=0.1)
+    assert sights.values.max() < 90.0
 
 
 def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop_scene.WorkshopScene) -> None:
@@ -108,6 +108,6 @@ def test_a_target_without_a_place_is_not_drawn() -> None:
     assert shown.target_covariances is not None
     assert np.isfinite(shown.target_covariances).all()
     assert shown.sights is not None
-    names = [shown.targets[t] for t in shown.sights.target]
+    names = [shown.targets[t] for t in shown.sights.target_indices]
     wanted = [recording.targets[t] for t in recording.target if recording.targets[t] != "T06"]
     assert names == wanted

@@ -54,13 +54,14 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MAX_DRAWN_TRIANGLES = 20_000
-"""Largest number of triangles of obstacles in the view from above; if there are more, the largest ones are drawn."""
+"""Largest number of triangles of obstacles in the view from above; if there are more, the largest triangles are
+drawn."""
 MIN_LAYOUT_STATIONS = 2
 """Smallest number of stations of a layout, the same as for a plan file."""
 MAX_LAYOUT_STATIONS = 40
-"""Largest number of stations of a layout."""
+"""Largest number of stations of a layout in the browser."""
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
-"""Pattern of the name of a station."""
+"""Pattern of the permitted names of a station."""
 MAX_OFFERED_POSITIONS = 200
 """Largest number of grid positions that the page offers for an additional station."""
 MAX_COORDINATE_MM = 1e6
@@ -69,14 +70,16 @@ MAX_COORDINATE_MM = 1e6
 
 @dataclass(frozen=True)
 class MovableLayout:
-    """Plan of a hall whose stations the user moves in the browser, with all data for the evaluation of a layout."""
+    """Layout of a plan whose stations the user moves in the browser, with all data for its evaluation."""
 
     plan_file: PlanFile
+    """Content of the plan file."""
     scenario: Scenario
     """Scenario with the initial stations."""
     search_space: SearchSpace
     """Permitted positions of stations, and lines of sight; its `survey` has the faces and rounds of the scenario."""
     construction: GeometricErrorModel
+    """Geometric error model of the instruments."""
     tolerances: PointTolerances
     """Tolerances of the points in the plan file."""
 
@@ -182,7 +185,7 @@ class MovableLayout:
         )
 
     def evaluation_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
+        """Evaluation of a layout for the page: visible sights, uncertainty of each point, and broken rules."""
         survey = self.survey_with_stations(stations)
         search_space, broken_position_rules = (
             self._search_space_for_survey(survey),
@@ -220,7 +223,7 @@ class MovableLayout:
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after the loss of a station or a sight; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of a station or sight; None without tolerances."""
         survey = self.survey_with_stations(stations)
         if not self.tolerances or _station_coincides_with_target(survey):
             return None
@@ -232,7 +235,7 @@ class MovableLayout:
         return {"reached": verdict.is_goal_reached, "words": verdict.sentences}
 
     def scenario_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
-        """Scenario with the given stations."""
+        """Scenario of the plan with the given stations."""
         return scenario_with_layout(self.scenario, self.survey_with_stations(stations))
 
     def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:

@@ -43,14 +43,14 @@ MAX_CONNECTIONS = 32
 """Largest number of simultaneous connections; a browser opens six. A further one replaces the oldest of those that have
 not sent headers with the token yet, and is closed if there is none."""
 REPLACEMENT_TIMEOUT_S = 1.0
-"""Longest time [s] that a new connection waits for the end of the one that it replaces."""
+"""Longest time [s] that a new connection waits until the connection that it replaces has ended."""
 REQUEST_TIMEOUT_S = 10.0
 """Time [s] within which a request must arrive completely; its connection is closed afterwards."""
 INTERRUPT_CHECK_INTERVAL_S = 0.2
 """Longest time [s] that the server waits for a request before it reacts to Ctrl-C."""
 MIN_CAMERA_VECTOR_LENGTH = 1e-6
 """Smallest distance [m] of the camera from its focal point, and smallest length of its up direction."""
-RESPONSE_HEADERS = {
+HTTP_RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -65,6 +65,7 @@ class StationPosition(BaseModel):
     """Station at the position that the user chose on the page: coordinates [mm] and yaw [deg]."""
 
     model_config = ConfigDict(strict=True)
+    """Configuration of pydantic: values are not converted."""
 
     name: str
     position_mm: FiniteTriple
@@ -72,13 +73,14 @@ class StationPosition(BaseModel):
 
 
 class LayoutRequest(BaseModel):
-    """Body of a request of the page: all stations, and the camera of the 3D view."""
+    """Request of the page with a layout: all stations, and the camera of the 3D view."""
 
     model_config = ConfigDict(strict=True)
+    """Configuration of pydantic: values are not converted."""
 
     stations: list[StationPosition] = Field(max_length=1000)
     camera: Annotated[list[FiniteTriple], Field(min_length=3, max_length=3)] | None = None
-    """Position [m], focal point [m] and up direction."""
+    """Position [m], focal point [m] and up direction of the camera of the 3D view; None for the default camera."""
 
     @field_validator("camera")
     @classmethod
@@ -90,7 +92,7 @@ class LayoutRequest(BaseModel):
 
 
 class HttpResponse(NamedTuple):
-    """Response to a request."""
+    """Response to an HTTP request."""
 
     status: HTTPStatus
     media_type: str = "text/plain"
@@ -99,11 +101,14 @@ class HttpResponse(NamedTuple):
 
 
 MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
-"""Response to a path without the token, or with an unknown name."""
+"""Response to a request whose path lacks the token, or has an unknown name."""
 
 
 class PlannerRequests:
-    """Requests that the page may send, and their responses; every path begins with the secret token."""
+    """Requests that the page of the interactive planner may send, and their responses.
+
+    Every path begins with the secret token.
+    """
 
     def __init__(self, layout: MovableLayout, folder: Path) -> None:
         self.layout, self.folder = layout, folder
@@ -116,7 +121,7 @@ class PlannerRequests:
         }
 
     def page_html(self) -> str:
-        """HTML of the page, with the hall."""
+        """HTML of the page of the planner, with the hall."""
         hall = json.dumps(self.layout.hall_json() | {"folder": str(self.folder)}).replace("<", "\\u003c")
         text = (files("ltsim.reports.board") / "page.html").read_text(encoding="utf-8")
         policy = CONTENT_SECURITY_POLICY.replace("connect-src", "connect-src 'self'")
@@ -156,7 +161,7 @@ class _RequestStream(BufferedIOBase):
         self._stream, self._n_free = stream, MAX_HEADER_BYTES
 
     def readline(self, size: int | None = -1) -> bytes:
-        """Next line; raises LineTooLong beyond the limit."""
+        """Next line of the request; raises LineTooLong beyond the limit."""
         line: bytes = self._stream.readline(self._n_free + 1)
         self._n_free -= len(line)
         if self._n_free < 0:
@@ -164,7 +169,7 @@ class _RequestStream(BufferedIOBase):
         return line
 
     def read(self, size: int | None = -1) -> bytes:
-        """Next `size` bytes, fewer at the end of the request."""
+        """Next `size` bytes of the request, fewer at its end."""
         content: bytes = self._stream.read(size)
         return content
 
@@ -178,11 +183,14 @@ class _RequestHandler(BaseHTTPRequestHandler):
     """Handler of one connection: it checks a request, passes it to the serving thread, and sends the response."""
 
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
+    """Queue of requests for the serving thread, each with the future of its response."""
     requests: PlannerRequests
+    """Requests that are permitted, with their responses."""
     server: _LimitedServer
     allowed_hosts: frozenset[str]
     """Allowed values of the HTTP header Host, and of the header Origin after `http://`."""
     timeout = REQUEST_TIMEOUT_S
+    """Time [s] within which a request must arrive completely."""
     server_version, sys_version = "ltsim", ""
 
     def setup(self) -> None:
@@ -199,6 +207,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         super().finish()
 
     def _stop_reading(self) -> None:
+        """Close the connection for reading after the timeout."""
         with suppress(OSError):  # it is closed already
             self.connection.shutdown(socket.SHUT_RD)
 
@@ -247,10 +256,11 @@ class _RequestHandler(BaseHTTPRequestHandler):
         return future.result()
 
     def _send_response(self, response: HttpResponse) -> None:
+        """Send a response with the headers `HTTP_RESPONSE_HEADERS`."""
         self.send_response(response.status)
         self.send_header("Content-Type", f"{response.media_type}; charset=utf-8")
         self.send_header("Content-Length", str(len(response.content)))
-        for name, value in RESPONSE_HEADERS.items():
+        for name, value in HTTP_RESPONSE_HEADERS.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(response.content)
@@ -268,7 +278,7 @@ class _LimitedServer(ThreadingHTTPServer):
     """Server with a limited number of connections, which ignores broken connections.
 
     Silent or slow connections of another program do not keep the page from its server: a new connection replaces the
-    oldest one without the token.
+    oldest connection without the token.
     """
 
     daemon_threads = True
@@ -292,7 +302,7 @@ class _LimitedServer(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def _end_oldest_connection(self) -> bool:
-        """True if the oldest replaceable connection was ended, whose place the next one takes."""
+        """True if the oldest connection without the token was ended, so that a new connection can take its place."""
         oldest = next(iter([*self._replaceable]), None)
         if oldest is None:
             return False
@@ -306,7 +316,7 @@ class _LimitedServer(ThreadingHTTPServer):
         self._replaceable.pop(request, None)
 
     def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
-        """Serve a connection."""
+        """Answer the requests of a connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:

@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     )
 
 FIGURE_MODULES = ("campaign", "floor_plan", "marked_floor_plans", "parameters", "points", "residuals")
-"""Names of the modules of figures."""
+"""Names of the modules in this package that draw figures."""
 
 
 def _import_figure_module(name: str) -> Any:
+    """Module of figures with this name; raises AttributeError for another name."""
     if name in FIGURE_MODULES:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

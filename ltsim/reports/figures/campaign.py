@@ -32,7 +32,7 @@ Y_LABEL_LINE_LENGTH_PER_PANEL_ROW = 26
 CENTRAL_90_PERCENT_LABEL = "90 % of trials"
 """Label of the band between the 5 % and 95 % quantiles of the trials."""
 NOISE_FLOOR_LABEL = "noise floor"
-"""Label of the error of readings that are corrected with the true parameters: only noise remains."""
+"""Label of the error of readings that are corrected with the true parameters, so that only noise remains."""
 PUBLISHED_CRITERIA_BY_SCENARIO = MappingProxyType(
     {
         "paper-workshop": {
@@ -54,14 +54,14 @@ PUBLISHED_CRITERIA_BY_SCENARIO = MappingProxyType(
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """Mean of a result column in one cell, with its 95 % interval and the central 90 % of the trials.
-
-    `level` is the factor level on the x axis, a number or a text; `line_label` and `panel_label` name line and panel.
-    """
+    """Point of a figure over factor levels: mean of a result column in one cell (combination of factor levels)."""
 
     level: float | str
+    """Factor level on the x axis, a number or a text."""
     line_label: str
+    """Label of the line to which the point belongs."""
     panel_label: str
+    """Title of the panel to which the point belongs."""
     mean: float
     interval_low: float
     interval_high: float
@@ -92,7 +92,7 @@ def factor_level_text(factor: Factor, level: Any) -> str:
 def sweep_points(
     results: CampaignResults, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
 ) -> list[SweepPoint]:
-    """Points for `sweep_panels_figure` or `cell_rows_figure`: means of a result column, one per cell and method.
+    """Points of a figure: means of a result column, one per method and combination of factor levels (cell).
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     rows = sweep_points(results, statistic, along, panel=panel, **levels)
     if len({(row.level, row.line_label, row.panel_label) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
-        raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
+        raise ModelError(f"several cells share a position on the axis; give panel, or a level of {' or '.join(others)}")
     return sweep_panels_figure(rows, statistic_title=label, x_title=axis)
 
 
@@ -159,17 +159,17 @@ def sweep_panels_figure(
     published_value: float | None = None,
     joins_points: bool = True,
 ) -> Figure:
-    """Panels with common axes: means with 95 % intervals, and the central 90 % of the trials as shaded bands.
+    """Figure of panels with common axes: means with 95 % intervals, and the central 90 % of the trials as shaded bands.
 
     Parameters
     ----------
     plotted_points : sequence of SweepPoint
     statistic_title : str
-        The statistic with its unit.
+        Title of the y axis: the result column with its unit.
     x_title : str
-        The factor along the lines, with its unit.
+        Title of the x axis: the factor along the lines, with its unit.
     published_value : float, optional
-        A published value to compare with.
+        Published value to compare with.
     joins_points : bool
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
@@ -215,6 +215,7 @@ def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str
 
 
 def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_number: int, *, is_joined: bool) -> None:
+    """Draw a line of means with intervals and band at `positions` on the x axis; `line_number` selects the colour."""
     if not points:
         return
     order = np.argsort(positions, kind="stable")
@@ -259,21 +260,21 @@ def _set_axis_ticks(ax: Axes, values: Sequence[float | str], tick_labels: Sequen
 
 
 MAX_DRAWN_CELLS = 40
-"""Largest number of cells in a figure with one row per cell; only the first cells are drawn."""
+"""Largest number of combinations of factor levels (cells) in a figure with one row per cell; the first are drawn."""
 
 
 @style.with_figure_style
 def cell_rows_figure(points: Sequence[SweepPoint], *, x_label: str, published_value: float | None = None) -> Figure:
-    """Figure with one row per cell: means with 95 % intervals, and thin lines for the central 90 % of the trials.
+    """Figure with one row per combination of factor levels (cell): means with 95 % intervals, central 90 % of trials.
 
     Parameters
     ----------
     points : sequence of SweepPoint
         `level` is the description of the cell, `line_label` the method.
     x_label : str
-        The statistic with its unit.
+        Title of the x axis: the result column with its unit.
     published_value : float, optional
-        A published value to compare with.
+        Published value to compare with.
     """
     settings = list(dict.fromkeys(str(row.level) for row in points))[:MAX_DRAWN_CELLS]
     methods = list(dict.fromkeys(row.line_label for row in points))
@@ -296,17 +297,18 @@ def cell_rows_figure(points: Sequence[SweepPoint], *, x_label: str, published_va
 
 @dataclass(frozen=True)
 class TrialDistribution:
-    """Values (n,) of a quantity in n trials, with its unit and, if available, a published value to compare with."""
+    """Distribution of the values of a quantity over n trials."""
 
     name: str
     values: Floats
     unit: str = ""
     published_value: float | None = None
+    """Published value to compare with; None without it."""
 
 
 @style.with_figure_style
 def distributions_figure(distributions: Sequence[TrialDistribution]) -> Figure:
-    """Histograms of quantities over trials, with mean and 95 % interval, central 90 % of trials, published value."""
+    """Figure with histograms of quantities over trials: mean and 95 % interval, central 90 %, published value."""
     n_columns = min(2, max(len(distributions), 1))
     n_rows = -(-len(distributions) // n_columns)
     figure = style.new_figure(0.4 + 1.7 * n_rows)
@@ -375,7 +377,7 @@ def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
 
 @style.with_figure_style
 def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
-    """Observed coverage of the 95 % intervals of each parameter, with the uncertainty of this coverage.
+    """Figure of the observed coverage of the 95 % intervals of each parameter, with the uncertainty of this coverage.
 
     The uncertainty is drawn as a 95 % interval, next to the band of allowed coverage.
     """
@@ -387,7 +389,7 @@ def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(is_coverage_outside_band(summaries), dtype=bool)
-    for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
+    for chosen, colour, word in ((~red, style.BLUE, "coverage, 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(coverage[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def varying_factors(results: CampaignResults) -> list[Factor]:
-    """Factors with several levels, without those whose levels correspond one to one to those of an earlier factor."""
+    """Factors with several levels that do not correspond one to one to the levels of an earlier factor."""
     independent: list[Factor] = []
     for factor in results.factors:
         values = levels_of_cells(results, factor)
@@ -63,8 +63,9 @@ def statistic_figures(
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Captions of the figures of a result column, each with the function that draws the figure.
 
-    A figure has lines over a factor if the cells form a grid, dots over each factor if they form a design, and
-    otherwise one row per cell.
+    A figure has lines over a factor if the cells (combinations of factor levels) form a grid. It has dots over each
+    factor if they form a design, and otherwise one row per cell. `label` is the axis label of the column, and
+    `published_value` a value to compare with.
     """
     factors = varying_factors(results)
     trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."
@@ -144,6 +145,7 @@ def _axis_position(factor: Factor, levels: Mapping[str, Any]) -> float | str:
 
 
 def _sweep_point(summary: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
+    """Point of a figure from the summary of a result column: level `x`, line and panel."""
     return SweepPoint(
         x, line, panel, summary.mean, summary.low, summary.high, summary.quantiles[1], summary.quantiles[5]
     )

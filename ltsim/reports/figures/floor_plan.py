@@ -18,35 +18,33 @@ from ltsim.reports.figures.obstacles import draw_obstacles
 from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
-LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker in which its label is placed if there is space, relative to the preferred
-direction."""
+MARKER_LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
+"""Directions [rad] from a marker for its label, in the order in which they are tried, from the preferred direction."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Ratio of height to width of an area above which its label is vertical, because the area is narrower than the label.
-"""
-LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
+"""Ratio of height to width of an area above which its label is vertical, because the area is too narrow for it."""
+LABEL_BOX_SETTINGS = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
 
 @dataclass(frozen=True)
 class MapLabel:
-    """Label of a marker at `anchor` (2,) in data units, with its font size [pt].
-
-    The label is placed in `preferred_direction` [rad] from the marker if there is space. A vertical label is read from
-    the right.
-    """
+    """Label of a marker or an area on a floor plan."""
 
     text: str
     anchor: Floats
+    """Position (2,) of the marker in data units."""
     font_size: float = 7.0
+    """Font size of the label [pt]."""
     is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
+    """Direction [rad] from the marker in which the label is placed if there is space."""
     is_vertical: bool = False
+    """True for a vertical label, which is read from the right."""
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
@@ -67,7 +65,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
     for label in labels:
         half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIOS[0] * len(label.text), LETTER_SIZE_RATIOS[1]])
         half_size = half_size[::-1] if label.is_vertical else half_size
-        for direction in label.preferred_direction + LABEL_DIRECTIONS:
+        for direction in label.preferred_direction + MARKER_LABEL_DIRECTIONS:
             unit_vector = np.array([np.cos(direction), np.sin(direction)])
             offset = unit_vector * LABEL_DISTANCE_PT + half_size * np.clip(
                 1.5 * unit_vector, -1.0, 1.0
@@ -79,13 +77,17 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
                 ax.annotate(
                     label.text, tuple(label.anchor), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.font_size, fontweight="bold" if label.is_bold else "normal",
-                    color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BACKGROUND,
+                    color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BOX_SETTINGS,
                     rotation=90.0 if label.is_vertical else 0.0,
                 )  # fmt: skip
                 break
 
 
-HEIGHT_CLASSES = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
+TARGET_HEIGHT_CLASSES = (
+    (0.9, "v", style.ORANGE, "low"),
+    (3.2, "s", style.SKY, "middle"),
+    (np.inf, "^", style.BLUE, "high"),
+)
 """Classes of targets by height: upper limit [m] above the floor, marker, colour, name."""
 MAX_LABELLED_TARGETS = 60
 """Number of targets above which a floor plan does not show the names of the targets."""
@@ -94,15 +96,14 @@ MAX_VECTOR_MARKERS = 150
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MIN_STACKED_TARGETS_OF_SHORT_LABEL = 4
-"""Smallest number of targets above each other whose common label has only the first name and the number of others (`T1
-+3`)."""
+"""Smallest number of targets above each other with a short common label: a name and the number of others (`T1 +3`)."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
-FLOOR_PLAN_WIDTH = 4.3
+FLOOR_PLAN_WIDTH_INCH = 4.3
 """Width of the axes of a floor plan [inch]."""
-FLOOR_PLAN_HEIGHT_RANGE = (3.6, 6.6)
+FLOOR_PLAN_HEIGHT_RANGE_INCH = (3.6, 6.6)
 """Smallest and largest height of the figure of a floor plan [inch]."""
-LISTED_STATION_HEIGHT = 0.16
+LISTED_STATION_HEIGHT_INCH = 0.16
 """Additional height of the figure per listed station [inch]."""
 MAX_WALL_DISTANCE = 0.35
 """Largest distance [m] of a target from a side of the floor at which the target is on the wall there."""
@@ -117,7 +118,9 @@ def floor_plan(
     floor: Floor | None = None,
     draw_markers: Callable[[Axes], list[MapLabel]] = lambda ax: [],
 ) -> Figure:
-    """Floor plan in metres. Circles are shadow cones on the floor; the tick of a station points to azimuth zero.
+    """Floor plan of a hall in metres; circles on the floor are what a tracker cannot see below it (shadow cones).
+
+    The tick of a station points to azimuth zero.
 
     Parameters
     ----------
@@ -134,7 +137,7 @@ def floor_plan(
     low, high = _axis_limits(workshop)
     aspect_ratio = (high[1] - low[1]) / (high[0] - low[0])
     figure, ax = style.new_panel(
-        float(np.clip(FLOOR_PLAN_WIDTH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHT_RANGE)), layout="compressed"
+        float(np.clip(FLOOR_PLAN_WIDTH_INCH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHT_RANGE_INCH)), layout="compressed"
     )
     ax.set_aspect("equal")
     style.set_grid(ax, grid_axis="both")
@@ -171,7 +174,7 @@ def floor_plan(
     if lists_coordinates and len(workshop.stations) <= MAX_LISTED_STATIONS:
         empty_handles, station_texts = _listed_stations_legend(workshop, n_other_entries=len(labels))
         handles, labels = [*handles, *empty_handles], [*labels, *station_texts]
-        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT * len(station_texts))
+        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT_INCH * len(station_texts))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     marker_positions = [
         *workshop.station_positions[:, :2],
@@ -213,7 +216,7 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
         labels.append(MapLabel(area.name, corners.min(axis=0), 7.0, colour="#00664B", preferred_direction=0.25 * np.pi))
     for i, place in enumerate(floor.keep_outs):
         corners = np.array(place.corners_mm) * mm
-        legend_label = "kept free" if i == 0 else None
+        legend_label = "area to keep free" if i == 0 else None
         ax.add_patch(
             Polygon(
                 corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=legend_label
@@ -265,12 +268,12 @@ def _sight_matrix(workshop: WorkshopScene) -> Bools | None:
     if workshop.sights is None or shape[0] > len(style.COLOUR_CYCLE) or not len(workshop.blocked_sights):
         return None
     is_visible = np.zeros(shape, dtype=bool)
-    is_visible[workshop.sights.station, workshop.sights.target] = True
+    is_visible[workshop.sights.station_indices, workshop.sights.target_indices] = True
     return is_visible
 
 
 def _draw_visibility_pies(ax: Axes, workshop: WorkshopScene, is_visible: Bools) -> None:
-    """Draw each target as a circle with a slice in the colour of each station that sees it."""
+    """Draw each target as a circle with a slice in the colour of each station that sees it (mask `is_visible`)."""
     x, y = workshop.target_points[:, :2].T
     marker_size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
     label = "target: slices are the\nstations that see it"
@@ -296,7 +299,7 @@ def _draw_visibility_pies(ax: Axes, workshop: WorkshopScene, is_visible: Bools) 
 
 
 def _draw_gauge(ax: Axes, workshop: WorkshopScene) -> None:
-    """Draw the reference lengths of the gauge as lines."""
+    """Draw the gauge (reflectors at known distances): its reference lengths as lines."""
     for k, (a, b) in enumerate(workshop.gauge_pairs):
         ends = workshop.target_points[[a, b], :2]
         ax.plot(
@@ -308,7 +311,7 @@ def _draw_targets(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw targets with markers that depend on the height above the floor."""
     height = workshop.target_points[:, 2] - workshop.floor_height
     lower_limit = -np.inf
-    for upper_limit, marker, colour, class_name in HEIGHT_CLASSES:
+    for upper_limit, marker, colour, class_name in TARGET_HEIGHT_CLASSES:
         is_in_class = (height > lower_limit) & (height <= upper_limit)
         legend_label = (
             f"{class_name} target, up to {upper_limit:g} m"
@@ -367,6 +370,7 @@ def _draw_stations(ax: Axes, workshop: WorkshopScene, colours: Sequence[str]) ->
 
 
 def _station_labels(workshop: WorkshopScene) -> list[MapLabel]:
+    """Labels of the stations with their names, on the side away from azimuth zero."""
     return [
         MapLabel(
             style.shortened_name(name, 16),

@@ -75,8 +75,12 @@ def reflector_changes_floor_plan(
     position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
 
     def draw_markers(ax: Axes) -> list[MapLabel]:
+        """Draw the numbered markers of the changes, with entries for the legend; returns the labels of the markers."""
         labels = []
-        kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
+        kinds = (
+            (True, "D", style.PURPLE, "new position, by number"),
+            (False, "x", style.RED, "reflector to omit, by number"),
+        )
         for has_new_place, marker, colour, word in kinds:
             numbers_by_position: dict[tuple[float, float], list[int]] = {}
             for number, change in enumerate(planned_changes, 1):

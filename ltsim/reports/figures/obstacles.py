@@ -1,4 +1,4 @@
-"""Obstacles of a hall seen from above."""
+"""Obstacles of a hall seen from above, for floor plans."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +10,7 @@ from ltsim.core.arrays import Floats
 MAX_TRIANGLES_PER_PATH = 5_000
 """Largest number of triangles that are drawn as one path; each path takes half a kilobyte."""
 MAX_VECTOR_TRIANGLES = 2_000
-"""Number of triangles of obstacles above which they are rasterised: as vectors each takes 200 bytes of a page."""
+"""Number of triangles of obstacles above which they are rasterised. As vectors each takes 200 bytes of a page."""
 
 
 def draw_obstacles(ax: Axes, triangles: Floats) -> None:

@@ -36,10 +36,11 @@ def parameter_labels(parameters: Sequence[ParameterEntry]) -> list[str]:
 def parameter_estimates_figure(
     parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()
 ) -> Figure:
-    """Estimates in units of their prior sigma with 95 % intervals; values at the right.
+    """Figure of parameter estimates in units of their prior sigma with 95 % intervals; values at the right.
 
     The estimate of a parameter without a prior is divided by its sigma. Hollow markers show parameters that the
-    recording hardly determines. `true_values` are the values of a simulation, None for a parameter without one.
+    recording hardly determines. `true_values` are the values of a simulation, None for a parameter without such a
+    value.
     """
     figure, ax = style.new_panel(0.75 + 0.2 * max(len(parameters), 3))
     places = style.set_category_rows(ax, parameter_labels(parameters), font_size=7.0)
@@ -84,9 +85,9 @@ def parameter_estimates_figure(
 def predicted_sigmas_figure(
     parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]
 ) -> Figure:
-    """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
+    """Figure of the predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis.
 
-    `reference_sigmas` are the predicted sigmas of another layout, by parameter.
+    The sigmas are written at the right. `reference_sigmas` are the predicted sigmas of another layout, by parameter.
     """
     figure, ax = style.new_panel(0.55 + 0.21 * max(len(parameters), 3))
     places = style.set_category_rows(ax, [row.name for row in parameters])
@@ -125,9 +126,10 @@ MAX_CORRELATED_PARAMETERS = 24
 
 @style.with_figure_style
 def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats) -> Figure:
-    """Correlations of p parameters with a covariance matrix (p, p), as colours; above 0.3 also as numbers [%].
+    """Figure of the correlations of p parameters with a covariance matrix (p, p), as colours.
 
-    If there are more than 24 parameters, the 24 with the largest correlations are shown, with a note.
+    Correlations above 0.3 are also given as numbers [%]. If there are more than 24 parameters, the 24 with the largest
+    correlations are shown, with a note.
     """
     names, sigma = parameter_labels(parameters), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
@@ -161,7 +163,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 
 @style.with_figure_style
 def parameter_history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
-    """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
+    """Figure of the estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
     The band is the mean over the calibrations, plus and minus the standard deviation of the true values between them.
     """
@@ -200,7 +202,10 @@ def parameter_history_figure(names: Sequence[str], parameter_histories: Sequence
 
 @style.with_figure_style
 def criteria_before_after_figure(criteria: Table) -> Figure:
-    """Mean and largest value of each criterion of a table `CRITERIA_TABLE`; arrows from before to after calibration."""
+    """Figure of mean and largest value of each criterion of a table `CRITERIA_TABLE`, before and after calibration.
+
+    Arrows point from before to after.
+    """
     lines = []
     for row in criteria.json_rows():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
@@ -226,12 +231,12 @@ MAX_BUDGET_SOURCES = 7
 
 @style.with_figure_style
 def variance_budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
-    """Fractions of the variance of each result by source of uncertainty, the largest sources first.
+    """Figure of the fractions of the variance of each result by source of uncertainty, the largest sources first.
 
     Parameters
     ----------
     names : sequence of str
-        The results.
+        Names of the results.
     variance_fractions : mapping of str to sequence of float
         Fraction of the variance by source in every result, 0 to 1.
     """
@@ -255,7 +260,7 @@ def variance_budget_figure(names: Sequence[str], variance_fractions: Mapping[str
 
 
 ValueWithInterval = tuple[float, float, float]
-"""Value, lower limit and upper limit of its interval."""
+"""Value, followed by the lower and the upper limit of its interval."""
 
 
 @style.with_figure_style
@@ -265,9 +270,10 @@ def values_with_intervals_figure(
     *,
     reference_values: Mapping[str, Sequence[float]] | None = None,
 ) -> Figure:
-    """Values with intervals, one row for each name; dashed lines at reference values.
+    """Figure of values with intervals, one row for each name; dashed lines at reference values.
 
-    `reference_values` has the label of each group of lines as key, and as value the reference values of the rows.
+    `values_by_name` has the value and its limits by name, and `label` is the axis label. `reference_values` has the
+    label of each group of lines as key, and as value the reference values of the rows.
     """
     lines = ["\n".join(wrap(name, 34)) for name in values_by_name]
     figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
@@ -290,7 +296,7 @@ def values_with_intervals_figure(
 def lines_with_intervals_figure(
     positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], x_title: str, y_title: str
 ) -> Figure:
-    """Lines through values with intervals at n `positions` on the x axis."""
+    """Figure of lines through values with intervals at n `positions` on the x axis."""
     figure, ax = style.new_panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
@@ -303,21 +309,21 @@ def lines_with_intervals_figure(
     return figure
 
 
-MAX_NAMED_LAYOUTS = 14
-"""Largest number of layouts with a label in a figure; the first ones are labelled."""
+MAX_LABELLED_LAYOUTS = 14
+"""Largest number of layouts with a label in a figure; the first layouts are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
 """Colour of a layout in the figure of quality over duration, by its role (`chosen` is the plan)."""
 LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
-"""Marker of a layout, by its role."""
+"""Marker of a layout in the figure of quality over duration, by its role (`chosen` is the plan)."""
 LAYOUT_MARKER_SIZES = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
-"""Area of the marker of a layout [pt^2], by its role."""
+"""Area of the marker of a layout [pt^2] in the figure of quality over duration, by its role."""
 LAYOUT_LABELS = {"tried": "tried", "best": "best in its time", "chosen": "the plan", "reference": "reference"}
-"""Label of a layout in the legend, by its role."""
+"""Label of a layout in the legend of the figure of quality over duration, by its role."""
 
 
 @style.with_figure_style
 def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
-    """Quality of each layout over its duration, by the measure `quality_name`.
+    """Figure of the quality of each layout over its duration, by the measure `quality_name`.
 
     A line joins the layouts whose quality no faster layout exceeds.
     """
@@ -345,7 +351,7 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
             ax.scatter(hours, quality, zorder=4 if role != "tried" else 2, linewidths=0, **marker_style)
             if role == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    for hour, size, layout_text in points_by_role["best"][:MAX_NAMED_LAYOUTS]:
+    for hour, size, layout_text in points_by_role["best"][:MAX_LABELLED_LAYOUTS]:
         ax.annotate(layout_text, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
     if (all_qualities > 0).all() and all_qualities.max() > 20 * all_qualities.min():
         ax.set_yscale("log")

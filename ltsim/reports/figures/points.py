@@ -10,13 +10,13 @@ from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, draw_labels
 
-PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
+DISPLACEMENT_PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
 """Projections of displacements: title, and indices of the two coordinate axes."""
 
 
 @style.with_figure_style
 def displacement_figure(comparison: Comparison) -> Figure:
-    """Displacements of points as lines with a common magnification, in two projections.
+    """Figure of displacements of points as lines with a common magnification, in two projections.
 
     The circle at the end of a line has the largest semi-axis of the 95 % ellipsoid as its radius.
     """
@@ -29,7 +29,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
     mm_per_um = float(0.125 * (np.ptp(positions, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
     figure.suptitle(f"displacements are enlarged {1e3 * mm_per_um:.0f} times", x=0.01, ha="left", fontsize=7.5)
-    for ax, (title, i, j) in zip(figure.subplots(1, 2), PROJECTIONS, strict=True):
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), DISPLACEMENT_PROJECTIONS, strict=True):
         for position, shift, axes, has_moved in zip(positions, shifts, semi_axes, moved, strict=True):
             colour = style.RED if has_moved else style.COLOUR_AFTER
             start, end = position[[i, j]], position[[i, j]] + mm_per_um * shift[[i, j]]
@@ -43,7 +43,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
     moved_indices = np.flatnonzero(moved)
-    for ax, (_, i, j) in zip(figure.axes, PROJECTIONS, strict=True):
+    for ax, (_, i, j) in zip(figure.axes, DISPLACEMENT_PROJECTIONS, strict=True):
         draw_labels(
             figure,
             ax,
@@ -65,7 +65,7 @@ MAX_MARKER_OFFSET_IN_GROUP_ROW = 0.32
 
 @style.with_figure_style
 def error_to_limit_figure(content: AcceptanceFile) -> Figure:
-    """Error of each acceptance test divided by its limit, one row per group of tests.
+    """Figure of the error of each acceptance test divided by its limit, one row per group of tests.
 
     Bars are expanded uncertainties; the marker shows the judgement.
     """
@@ -120,8 +120,8 @@ TWO_FACE_COMPONENT_MARKERS = (
     ("across the beam", style.ORANGE, "s"),
     ("elevation", style.GREEN, "^"),
 )
-"""Name, colour and marker of each component of a two-face difference."""
-MAX_NAMED_TARGETS = 40
+"""Component of a two-face difference, with the colour and the form of its marker."""
+MAX_TARGETS_WITH_AXIS_NAMES = 40
 """Number of targets above which their names are not written on the axis."""
 MAX_LEGEND_STATIONS = 8
 """Largest number of stations in a legend; only the first stations are listed."""
@@ -175,7 +175,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     ax.set_xlim(-0.8, n_drawn - 0.2)
     low, high = ax.get_ylim()
     ax.set_ylim(low, low + (high - low) / AXES_HEIGHT_FRACTION_BELOW_LEGEND)
-    shows_names = len(names) <= MAX_NAMED_TARGETS
+    shows_names = len(names) <= MAX_TARGETS_WITH_AXIS_NAMES
     ax.set_xticks(
         range(n_drawn) if shows_names else [],
         [style.shortened_name(n) for n in names] if shows_names else [],

@@ -24,13 +24,13 @@ INTERVAL_95_HALF_WIDTH_SIGMAS = 1.96
 
 @style.with_figure_style
 def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
-    """Normalised residuals of all observables over each available covariate, with running means."""
+    """Figure of the normalised residuals of all observables over each available covariate, with running means."""
     names = [name for name in DEFAULT_COVARIATES if name in residuals.covariates]
     figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
         for observable, colour in zip(OBSERVABLES, style.COLOUR_CYCLE, strict=False):
-            rows = residuals.is_of_observable(observable) & np.isfinite(residuals.normalised_residual)
+            rows = residuals.observable_mask(observable) & np.isfinite(residuals.normalised_residual)
             x, w = residuals.covariates[name][rows], residuals.normalised_residual[rows]
             ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MAX_VECTOR_DOTS, zorder=1.5)
             _draw_running_mean(ax, x, w, colour=colour, label=observable)
@@ -48,11 +48,11 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 
 @style.with_figure_style
 def residuals_by_station_figure(residuals: Residuals, reference: Residuals | None = None) -> Figure:
-    """Residuals by station as dots, with their root mean square as a bar; one panel per observable.
+    """Figure of residuals by station as dots, with their root mean square as a bar; one panel per observable.
 
     `reference` are the residuals before a correction, drawn next to the residuals in another colour.
     """
-    observables = [name for name in OBSERVABLES if residuals.is_of_observable(name).any()]
+    observables = [name for name in OBSERVABLES if residuals.observable_mask(name).any()]
     stations = residuals.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(observables), 1) + 0.4)
     axes = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
@@ -61,8 +61,8 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
     for ax, observable in zip(axes, observables, strict=True):
         for series_residuals, offset, colour, word in series:
             for station_index, station in enumerate(stations):
-                is_shown = series_residuals.is_of_observable(observable) & (series_residuals.station == station)
-                values = series_residuals.residual[is_shown]
+                is_shown = series_residuals.observable_mask(observable) & (series_residuals.station_names == station)
+                values = series_residuals.displayed_residual[is_shown]
                 x = station_index + offset + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
                 label, is_rasterized = (word if station_index == 0 else None), len(values) > MAX_VECTOR_DOTS
                 ax.plot(
@@ -86,7 +86,7 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
 def finding_comparison_figure(
     without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
 ) -> Figure:
-    """Residuals over a covariate, from the model without a finding (left) and with the finding (right).
+    """Figure of residuals over a covariate, from the model without a finding (left) and with the finding (right).
 
     Each row of panels shows one observable. `scope` contains the stations, targets and observables of the finding.
     Residuals at other stations and targets are pale dots.
@@ -94,7 +94,7 @@ def finding_comparison_figure(
     observables = [
         n
         for n in OBSERVABLES
-        if (not scope.observables or n in scope.observables) and without_finding.is_of_observable(n).any()
+        if (not scope.observables or n in scope.observables) and without_finding.observable_mask(n).any()
     ]
     figure = style.new_figure(0.5 + 1.8 * max(len(observables), 1))
     grid = figure.subplots(len(observables), 2, sharex=True, sharey="row", squeeze=False)
@@ -106,8 +106,8 @@ def finding_comparison_figure(
         for ax, residuals, normalised, model_text in zip(
             panel_row, (without_finding, with_finding), normalised_residuals, ("without", "with it"), strict=True
         ):
-            rows = residuals.is_of_observable(observable) & np.isfinite(residuals.covariates[covariate])
-            is_at_finding = rows & residuals.is_at_places(scope.stations, scope.targets)
+            rows = residuals.observable_mask(observable) & np.isfinite(residuals.covariates[covariate])
+            is_at_finding = rows & residuals.station_and_target_mask(scope.stations, scope.targets)
             if (rows & ~is_at_finding).any():
                 _draw_residuals(
                     ax, residuals, rows & ~is_at_finding, covariate, color=style.GREY, label="elsewhere", ms=2.0
@@ -124,7 +124,7 @@ def finding_comparison_figure(
             _draw_running_mean(
                 ax,
                 residuals.covariates[covariate][is_at_finding],
-                residuals.residual[is_at_finding],
+                residuals.displayed_residual[is_at_finding],
                 label="running mean",
             )
             w = normalised[is_at_finding]
@@ -139,20 +139,20 @@ def finding_comparison_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
+    """Figure of the estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
 
-    For an observable, the residuals of the model without the finding are drawn as dots behind the curve,
-    and the curve has the sign of a residual.
+    For an observable, the residuals of the model without the finding are drawn as dots behind the curve, and the curve
+    has the sign of a residual. `response` is the name of the observable or constant.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
     if residuals is not None and covariate == "time":
-        covariate = residuals.order_covariate
+        covariate = residuals.measurement_order_covariate
     figure, ax = style.new_panel(2.6)
     factor, label = _axis_factor_and_label(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and response in OBSERVABLE_UNITS:
-        rows, dots_label = residuals.is_of_observable(response), "residuals without the finding"
+        rows, dots_label = residuals.observable_mask(response), "residuals without the finding"
         _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=dots_label, ms=2.5)
         sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
         unit = OBSERVABLE_UNITS[response]
@@ -169,7 +169,7 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
 
 
 def covariate_axis_label(covariate: str) -> str:
-    """Label of a covariate's axis."""
+    """Label of the axis of a covariate, with its unit."""
     unit = COVARIATE_UNITS.get(covariate, "")
     return f"{style.shortened_name(covariate)} [{unit}]" if unit else style.shortened_name(covariate)
 
@@ -191,7 +191,7 @@ def _observable_label(observable: str) -> str:
 def _draw_residuals(ax: Axes, residuals: Residuals, is_drawn: Bools, covariate: str, **style_options: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
     is_rasterized = int(is_drawn.sum()) > MAX_VECTOR_DOTS
-    x, y = residuals.covariates[covariate][is_drawn], residuals.residual[is_drawn]
+    x, y = residuals.covariates[covariate][is_drawn], residuals.displayed_residual[is_drawn]
     ax.plot(x, y, ".", alpha=0.7, rasterized=is_rasterized, zorder=1.5, **style_options)
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     style.set_grid(ax, grid_axis="both")
@@ -214,9 +214,9 @@ def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = sty
 def injected_and_estimated_figure(
     covariate: Floats, injected_changes: Floats, estimated_changes: Floats, axis: str, label: str
 ) -> Figure:
-    """Injected changes (n,) of n readings as rings, and estimated changes (n,) as dots, over a covariate (n,).
+    """Figure of injected changes (n,) of n readings as rings, estimated changes (n,) as dots, over a covariate.
 
-    `axis` is the axis label of the covariate, `label` the axis label of the changes.
+    `axis` is the axis label of the `covariate` (n,), `label` the axis label of the changes.
     """
     figure, ax = style.new_panel(2.7)
     order = np.argsort(covariate, kind="stable")

@@ -71,9 +71,8 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest change of a criterion (mean disagreement of the stations) [%] that is reported as better or worse: half of
-the last displayed digit."""
-CONVERGED_STATUSES = ("", "converged", "not stated")
+"""Smallest change [%] of a criterion (mean disagreement of the stations) that is reported: half of the last digit."""
+STATUSES_WITHOUT_WARNING = ("", "converged", "not stated")
 """Statuses of a fit for which the page has no warning."""
 
 
@@ -90,7 +89,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
     agrees, agreement_words = global_test_verdict(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         agreement_words = "the noise was estimated from the same readings, so the global test does not apply"
-    converged = content.fit.status in CONVERGED_STATUSES
+    converged = content.fit.status in STATUSES_WITHOUT_WARNING
     targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
     adjustments = (
         None if residuals is None or context.omits_residuals else adjustments_without_and_with_parameters(recording)
@@ -151,7 +150,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
 
 
 def _summary_sentence(content: Calibration, agreement_text: str, targets: Path | None) -> str:
-    """Summary: determined parameters, agreement, improvement of distances, outliers, uncertainty of the targets."""
+    """Summary: determined parameters, verdict `agreement_text`, improvement of distances, outliers, uncertainty."""
     station_count = count_text(len(content.stations), "station")
     if not content.parameters:
         sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_text}"
@@ -191,7 +190,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
 
 
 def _misfit_causes_sentence(content: Calibration) -> str:
-    """Sentence on the causes of a misfit in the adjusted model, with a leading blank; empty without such causes."""
+    """Sentence on the identified causes of a misfit, with a leading blank; empty without such causes."""
     excluded_names = [entry.name for entry in content.reference_values if entry.excluded]
     sentence = corrections_sentence(content.tests, excluded_names)
     return f" {sentence}" if sentence else ""
@@ -203,14 +202,14 @@ def _has_explaining_noise(content: Calibration) -> bool:
 
 
 def _larger_noise_sentence(content: Calibration) -> str:
-    """Sentences for a misfit whose only cause is noise larger than declared, with a leading blank; empty otherwise."""
+    """Sentences on larger noise than declared; empty unless it is the only cause of the misfit."""
     if not _has_explaining_noise(content):
         return ""
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
 
 
 def _fits_with_estimated_constants(content: Calibration) -> bool:
-    """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
+    """True if the readings scatter no more than declared in a fit that also estimates the instrument constants."""
     fit = content.fit_with_constants
     if fit is None:
         return False
@@ -230,13 +229,14 @@ def _global_tests_text(content: Calibration) -> str:
 
 
 def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure]:
+    """Key figures of a calibration; `has_agreement` is the result of the global test."""
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided_p_value(fit.p_value)
     facts = [
         KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(has_agreement)),
-        KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
+        KeyFigure("two-sided p-value", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
         KeyFigure("degrees of freedom", str(fit.dof)),
-        KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
+        KeyFigure("outlying readings", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if has_agreement and content.correction is not None and content.correction.uncorrected_error_um > 0:
         expected = f"{number_text(content.correction.uncorrected_and_corrected_point_error_um[1], 3)} um"
@@ -247,7 +247,7 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
 def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) -> list[Block]:
     """Blocks on the limitations of a calibration: convergence, verdict, uncertainty, outliers, estimated noise.
 
-    `agrees` is the result of the global test; the expected benefit of the calibration is shown only if it is True.
+    `agrees` is the result of the global test; the benefit of the calibration is shown only if it is True.
     """
     blocks: list[Block] = []
     if not has_converged:
@@ -264,7 +264,7 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
         if lines:
             blocks.append(BulletListBlock("Benefit of the calibration", [capitalised_sentence(line) for line in lines]))
     if content.undetermined_targets:
-        text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
+        text = f"The used readings do not determine the coordinates of {', '.join(content.undetermined_targets)}."
         blocks.append(NoteBlock("Targets without coordinates", text, "bad"))
     blocks += table_blocks("Outlying readings", OUTLIERS_TABLE.with_rows(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
@@ -272,6 +272,7 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
 
 
 def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
+    """Blocks with the fit of the reference values (coordinates and lengths); empty without reference values."""
     note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
     if not content.constants_included and {"length", "point"} & {entry.kind for entry in content.reference_values}:
         note += " Reference values are tested in a fit that also estimates the instrument's constants."
@@ -283,14 +284,14 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
-    """Next actions, the most urgent first."""
+    """Next actions, the most urgent first; `is_accepted` is True if the calibration can be used."""
     actions = recommendations_for_causes(corrected_faults(content.tests))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         reading_names = names_text([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.fit_with_constants is not None:
-        actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
+        actions.append("Estimate the instrument constants, and correct them, with ltsim calibrate.")
     p_value = content.fit.p_value
     if (
         p_value is not None
@@ -301,13 +302,14 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
-    actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
+    actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
     if content.parameters and is_accepted and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 
 
 def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
+    """Blocks with the estimates of the instrument parameters, and their correlations; `truth` has their true values."""
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true_in_display_units = [
@@ -336,6 +338,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
 
 
 def _criteria_blocks(content: Calibration) -> list[TableBlock]:
+    """Blocks with the criteria before and after the calibration; empty without criteria."""
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
@@ -347,6 +350,7 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:
+    """Blocks with positions and orientations of the stations."""
     entries = [(s.name, s.position_mm, s.sigma_position_mm or (None,) * 3) for s in content.stations]
     return coordinates_tables("Stations", entries, note=f"Axes: {content.frame or 'those of the first station'}.")
 
@@ -354,7 +358,7 @@ def _station_blocks(content: Calibration) -> list[TableBlock]:
 def calibrated_workshop(
     content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> WorkshopScene:
-    """Calibrated network to draw; residuals, if given, determine the colours of the lines of sight."""
+    """Scene of a calibrated network; residuals, if given, determine the colours of the lines of sight."""
     from scipy.spatial.transform import Rotation
 
     from ltsim.reports.workshop_scene import WorkshopScene, workshop_with_surroundings
@@ -385,7 +389,7 @@ def _residual_sights(
         return None
     station, target = (
         np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
-        for names, column in ((stations, residuals.station), (targets, residuals.target))
+        for names, column in ((stations, residuals.station_names), (targets, residuals.target_names))
     )
     matched = (station >= 0) & (target >= 0)
     residual_sizes = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))

@@ -59,15 +59,16 @@ MAX_DRAWN_TRIALS = 200_000
 MAX_LISTED_LEVELS = 8
 """Number of levels of a factor above which only the first and the last are listed."""
 MAX_SHOWN_SCENARIOS = 100
-"""Largest number of cells whose scenarios a report contains; the manifest contains all of them."""
+"""Largest number of combinations of factor levels (cells) whose scenarios a report contains; the manifest contains
+all."""
 MAX_OPEN_BLOCKS = 4
-"""Largest number of blocks that are open on the page."""
+"""Largest number of blocks of the section that the page shows open, and not only by their titles."""
 MAX_CELL_ROWS = 48
-"""Number of cells (combinations of factor levels) above which a table has a row per level of a factor, not per cell."""
-IMPROVEMENT_COLUMN = "distance_improvement_percent"
+"""Number of combinations of factor levels (cells) above which a table has a row per level of a factor, not per cell."""
+SUMMARY_IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Result column whose mean the summary of a campaign reports: improvement of the distance criterion by calibration."""
 
-STATISTIC_TITLES = MappingProxyType(
+STATISTIC_TITLE_BY_COLUMN = MappingProxyType(
     {
         "distance_improvement_percent": ("distance criterion, improvement", " [%]"),
         "coordinate_improvement_percent": ("coordinate criterion, improvement", " [%]"),
@@ -128,14 +129,14 @@ def campaign_section(folder: Path) -> Section:
 
 
 def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
-    """Mean of a result over the trials with its 95 % interval, as text."""
+    """Mean of a result over the trials with its 95 % interval, as text; `level` is a text before the interval."""
     return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
 
 def _summary_sentence(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> str:
-    """Summary: number of trials, varied factors, improvement by calibration, cells with the extreme errors."""
+    """Summary of a campaign: trials, varied factors, improvement by calibration, extreme errors."""
     manifest, factors = results.manifest, varying_factors(results)
     fewest, most = (
         min(comparison.trials for comparison in comparisons),
@@ -147,7 +148,7 @@ def _summary_sentence(
         trials_text += f" ({_enumeration_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
-        means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
+        means = [s for s in summaries.get(SUMMARY_IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
             mean_texts.append(f"{method} by {_mean_text(means[0])} %")
         elif means:
@@ -160,6 +161,7 @@ def _summary_sentence(
 
 
 def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> str:
+    """Sentence on the combinations of factor levels (cells) with the smallest and the largest error of the targets."""
     means = summaries.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
@@ -173,12 +175,14 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
 
 
 def _enumeration_text(texts: Sequence[str]) -> str:
+    """Texts joined by commas and a final `and`."""
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def _key_figures(
     manifest: ManifestFile, comparisons: Sequence[SolverComparison], z_scores: Sequence[ZScoreSummary]
 ) -> list[KeyFigure]:
+    """Key figures of a campaign: trials, combinations of factor levels, methods, failures, solvers, coverage."""
     failed = sum(comparison.failed_trials for comparison in comparisons)
     differences = [
         comparison.largest_difference_sigma
@@ -203,6 +207,7 @@ def _key_figures(
 
 
 def _varying_factors_tables(results: CampaignResults) -> list[Block]:
+    """List with the table of the varied factors and their levels; empty if no factor varies."""
     table_rows = []
     for factor in results.factors:
         values = list(dict.fromkeys(factor.level_text(level[factor.name]) for level in results.levels))
@@ -215,12 +220,15 @@ def _varying_factors_tables(results: CampaignResults) -> list[Block]:
 def _means_by_level_tables(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
 ) -> list[TableBlock]:
-    """Means over the cells with the same level of a factor, if there are more than `MAX_CELL_ROWS` cells."""
+    """Tables of means over all combinations with the same level of a factor, if there are more than `MAX_CELL_ROWS`.
+
+    The combinations of factor levels are the cells of the campaign.
+    """
     if len(results.levels) <= MAX_CELL_ROWS:
         return []
     means_by_level: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
-        for name in filter(summaries.get, STATISTIC_TITLES):
+        for name in filter(summaries.get, STATISTIC_TITLE_BY_COLUMN):
             for s in summaries[name]:
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 means_by_level.setdefault(key, []).append(s.mean)
@@ -237,7 +245,7 @@ def _main_result_figures(
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
-    for column, (title, unit) in STATISTIC_TITLES.items():
+    for column, (title, unit) in STATISTIC_TITLE_BY_COLUMN.items():
         rows, published_value = summaries.get(column, []), published_values.get(column)
         for text, figure in statistic_figures(results, rows, title + unit, published_value) if rows else ():
             outside = [
@@ -262,14 +270,18 @@ def _main_result_figures(
 def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main result over the factors; distributions over the trials if no factor varies."""
     if len(results.levels) > 1:
-        for column, (title, unit) in STATISTIC_TITLES.items():
+        for column, (title, unit) in STATISTIC_TITLE_BY_COLUMN.items():
             if column in results.columns:
                 return next(statistic_figures(results, results.statistic_summaries(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))
 
 
 def _trial_distributions(results: CampaignResults, published_values: Mapping[str, float]) -> list[TrialDistribution]:
-    """Distributions over the trials of the first cell and method: of the criteria, otherwise of other errors."""
+    """Distributions over the trials of the first cell (combination of factor levels) and the first method.
+
+    They are those of the criteria, or without criteria those of other errors. `published_values` are values by column
+    to compare with.
+    """
     cell = results.manifest.cells[0].cell
     error_columns = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     columns_used = [c for c in error_columns if c.startswith(("distance", "coordinate"))] or error_columns
@@ -288,7 +300,10 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
 
 
 def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
-    """Histograms of the criteria of the first method, if there is only one cell."""
+    """Histograms of the criteria of the first method, if there is only one combination of factor levels (cell).
+
+    `published_values` are values by column to compare with.
+    """
     distributions = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
     caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"

@@ -13,9 +13,10 @@ from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 MAX_COVERAGE_FIGURES = 3
-"""Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
+"""Largest number of figures of the coverage of intervals, one per method."""
 NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
-"""Keys of an instrument with factors of its noise or errors; if one is not 1, these differ from the declared ones."""
+"""Keys of an instrument in a scenario with factors on its noise, its errors or its prior. A factor other than 1 makes
+them differ from the declared ones."""
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
@@ -40,7 +41,10 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
 
 
 def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figure of the coverage of intervals in the first cell of each method, and table of all z-scores."""
+    """Figures of the coverage of intervals in the first cell of each method, and table of all z-scores.
+
+    A cell is a combination of factor levels.
+    """
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in z_scores):
         method_scores = [s for s in z_scores if s.method == method]

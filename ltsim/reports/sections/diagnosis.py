@@ -23,7 +23,7 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_constants_texts
+from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
@@ -61,7 +61,7 @@ MAX_MARKED_TARGETS = 12
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
-"""Smallest probability of an alternative for which a measurement to exclude it is advised; by convention 5 %."""
+"""Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 MIN_CURVE_POINTS = 3
@@ -101,7 +101,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
     model_text = ", with the findings in the model" if content.findings else ""
-    if constants := significant_constants_texts(content.instruments):
+    if constants := significant_instrument_constant_texts(content.instruments):
         blocks.append(
             NoteBlock(f"Most significant constants of the instruments{model_text}", f"{'; '.join(constants)}.")
         )
@@ -166,7 +166,7 @@ def _has_probable_alternative(finding: Finding) -> bool:
 
 
 def _key_figures(content: Diagnosis) -> list[KeyFigure]:
-    """Key figures; labels of tests of corrected readings name the findings that were corrected."""
+    """Key figures of a diagnosis; labels of tests of corrected readings name the findings that were corrected."""
     test, corrected = content.global_test, _corrected_findings_text(content)
     after_text = f" after the correction of {corrected}" if corrected else ""
     p_value = test.p_value if test.dof > 0 else None
@@ -185,7 +185,7 @@ def _key_figures(content: Diagnosis) -> list[KeyFigure]:
 
 
 def _corrected_findings_text(content: Diagnosis) -> str:
-    """Text of the numbers of the findings that were corrected before the global test; empty if there are none."""
+    """Text with the numbers of the findings that were corrected before the global test; empty if there are none."""
     numbers = [
         str(number) for number, finding in enumerate(content.findings, start=1) if finding.is_corrected_before_search
     ]
@@ -202,7 +202,7 @@ def _residuals_before_and_after(
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals of the model without and of the model with the findings, each None if its file is missing.
 
-    The covariates are computed from `adjustments`.
+    The covariates are computed from `adjustments` (without and with instrument parameters).
     """
     file_with_findings, file_without_findings = (
         context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, BASELINE_RESIDUALS_TABLE.file)
@@ -224,7 +224,8 @@ def _finding_blocks(
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
 
-    The sentence is omitted if the summary `summary` contains it.
+    The sentence is omitted if the summary `summary` contains it. `adjustments` are those without and with instrument
+    parameters, from which the floor plan is drawn.
     """
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
@@ -232,7 +233,7 @@ def _finding_blocks(
         f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
-    formula_sentence = f" Proposed term: {finding.formula}." if finding.formula and formula_is_new else ""
+    formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
     text = f"{sentence.rstrip('.')}.{formula_sentence}{separation_sentence}"
     blocks: list[Block] = [] if text in summary else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
     draw_figure = finding_figure(finding, *residuals)
@@ -274,19 +275,21 @@ def finding_figure(
         without_finding is None
         or with_finding is None
         or is_blunder
-        or np.array_equal(without_finding.residual, with_finding.residual)
+        or np.array_equal(without_finding.displayed_residual, with_finding.displayed_residual)
     ):
         return None
     scope = finding.where
     candidate_covariates = [
-        without_finding.order_covariate if name == "time" else name
+        without_finding.measurement_order_covariate if name == "time" else name
         for name in (*scope.covariates, "time", "elevation", "row")
     ]
     common_covariates = [
         name for name in candidate_covariates if name in without_finding.covariates and name in with_finding.covariates
     ]
     place = scope.stations, scope.targets
-    has_no_rows = not (without_finding.is_at_places(*place).any() and with_finding.is_at_places(*place).any())
+    has_no_rows = not (
+        without_finding.station_and_target_mask(*place).any() and with_finding.station_and_target_mask(*place).any()
+    )
     if not common_covariates or has_no_rows:
         return None
     return lambda: figures.residuals.finding_comparison_figure(
@@ -299,7 +302,8 @@ def _finding_place_blocks(
 ) -> list[Block]:
     """List with a floor plan that marks the stations, targets or area of a finding, or its two exchanged targets.
 
-    The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets.
+    The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets. `adjustments` are
+    those without and with instrument parameters, from which the floor plan is drawn.
     """
     from ltsim.reports.workshop_scene import workshop_from_adjustment
 
@@ -337,13 +341,14 @@ def _finding_scope_text(scope: FindingScope) -> str:
 
 
 def _fit_tables(content: Diagnosis) -> list[TableBlock]:
+    """Table of the misfit without and with the findings in the model, with the error of held-out readings."""
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
         "noise if this is larger). The noise alone gives 1."
     )
     if corrected := _corrected_findings_text(content):
         note = f"Both models are fitted after the correction of {corrected}. {note}"
-    return table_blocks("Fit before and after", content.table("fit"), note=note)
+    return table_blocks("Misfit without and with the findings", content.table("fit"), note=note)
 
 
 def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:

@@ -16,35 +16,43 @@ if TYPE_CHECKING:
     from ltsim.campaigns.results import CampaignResults, PairedDifference
     from ltsim.campaigns.summary import StatisticSummary
 
-COMPARED_STATISTICS = {
+COMPARED_STATISTIC_TEXTS = {
     "new_point_error_calibrated_um": "error of a new point",
     "target_error_um": "error of the targets",
     "error_calibrated_um": "error of a point",
 }
-"""Texts for the errors by which methods are compared, by column; the first column that a campaign has is used."""
+"""Name for users of each error by which methods may be compared, by column. The first column that a campaign has is
+used."""
 MAX_COMPARED_CELLS = 48
-"""Number of cells above which methods are not compared, since each cell takes two queries per method."""
+"""Number of combinations of factor levels (cells) above which methods are not compared, since each takes two queries
+per method."""
 
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """Paired differences of errors: each other method minus the best method, which has the smallest mean error."""
+    """Comparison of methods by paired differences of errors: each other method minus the best method.
+
+    The best method has the smallest mean error.
+    """
 
     statistic: str
     """Column of the error by which methods are compared."""
     best_method: str
     """Method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
-    """Description of each cell."""
+    """Description of each combination of factor levels (cell)."""
     differences_by_method: Mapping[str, Sequence[PairedDifference]]
-    """Differences in each cell, by the method that is compared with the best method."""
+    """Differences for each combination of factor levels, by the method that is compared with the best method."""
 
     @classmethod
     def from_results(
         cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
     ) -> MethodComparison | None:
-        """Comparison of the methods of a campaign; None for one method, too many cells, or results without an error."""
-        statistic = next((name for name in COMPARED_STATISTICS if summaries.get(name)), "")
+        """Comparison of the methods of a campaign; None for one method, too many cells, or results without an error.
+
+        A cell is a combination of factor levels.
+        """
+        statistic = next((name for name in COMPARED_STATISTIC_TEXTS if summaries.get(name)), "")
         means: dict[str, list[float]] = {}
         for summary in summaries.get(statistic, []):
             means.setdefault(summary.method, []).append(summary.mean)
@@ -62,10 +70,10 @@ class MethodComparison:
     @property
     def statistic_label(self) -> str:
         """Text for the compared error, such as `error of a new point`."""
-        return COMPARED_STATISTICS[self.statistic]
+        return COMPARED_STATISTIC_TEXTS[self.statistic]
 
     def sentence(self) -> str:
-        """Sentence on the cells in which the best method has a significantly smaller or larger error than others."""
+        """Sentence on the combinations of factor levels in which the best method is significantly better or worse."""
         clauses = [_difference_text(method, entries) for method, entries in self.differences_by_method.items()]
         return (
             f"With the same random draws, the {self.statistic_label} with {self.best_method} is {'; '.join(clauses)} "
@@ -92,9 +100,10 @@ class MethodComparison:
 
 
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
-    """Text on the cells in which the best method has a significantly smaller or larger error than another method.
+    """Text on the combinations of factor levels in which the best method differs significantly from another method.
 
-    It gives the range of the significant differences of each sign, and the number of cells without a significant one.
+    It gives the range of the significant differences of each sign, and the number of combinations without a significant
+    difference.
     """
     smaller = [entry.difference for entry in differences if entry.low > 0]
     larger = [-entry.difference for entry in differences if entry.high < 0]

@@ -48,7 +48,7 @@ from ltsim.simulation.truth import Truth, read_truth
 if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import WorkshopScene
 
-TRUTH_FILE = "truth.json"
+TRUTH_FILE_NAME = "truth.json"
 """Name of the file with the true values of a simulation."""
 STATION_WORK_TABLE = Table(
     "work.csv",
@@ -59,13 +59,13 @@ STATION_WORK_TABLE = Table(
         *text_columns(starts_at="time since the first pointing"),
     ),
 )
-"""Table of the work of each station."""
+"""Columns of the table of the work of each station."""
 AdjustmentsWithoutAndWithParameters = tuple[Adjustment, Adjustment]
-"""Two adjustments of one recording: without, then with the instrument's parameters."""
+"""Adjustments of the same recording: first without, then with the instrument's parameters."""
 
 
 def networks_without_and_with_parameters(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNetwork]:
-    """Networks without and with the instrument's parameters, with the identified causes of a misfit in their models.
+    """Adjustments without and with the instrument's parameters, with the identified causes of a misfit in their models.
 
     Raises NetworkError, ConvergenceError.
     """
@@ -99,7 +99,7 @@ def adjustments_without_and_with_parameters(recording: Recording | None) -> Adju
 
 def truth_in_folder(context: SectionContext) -> Truth | None:
     """True values of a simulation, from the folder of a result; None without a file `truth.json`."""
-    file = context.folder / TRUTH_FILE if context.folder else None
+    file = context.folder / TRUTH_FILE_NAME if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 
@@ -133,7 +133,10 @@ def residuals_over_covariates(residuals: Residuals) -> list[Block]:
 
 
 def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView) -> list[Block]:
-    """Floor plan for `floor-plan`, 3D view and floor plan for `3d`; empty for `none`."""
+    """Blocks with the view of a hall: floor plan for `floor-plan`, 3D view and floor plan for `3d`; empty for `none`.
+
+    `make_scene` returns the scene of the hall.
+    """
     if hall_view == "none":
         return []
     workshop = make_scene()
@@ -151,12 +154,14 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a hall with its interactive page.
 
-    It is a note if the packages for 3D views are missing, or if there are more than `MAX_NETWORK_SETUPS` stations,
-    because stations are drawn one by one.
+    It is replaced by a note if the packages for 3D views are missing. The same applies to more than
+    `MAX_NETWORK_SETUPS` stations, because stations are drawn one by one.
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
-        return NoteBlock("No 3D view", f"{n_stations} stations are too many to draw; at most {MAX_NETWORK_SETUPS} are.")
+        return NoteBlock(
+            "No 3D view", f"{n_stations} stations are too many to draw; the limit is {MAX_NETWORK_SETUPS}."
+        )
     if not is_installed("pyvista"):
         return NoteBlock("No 3D view", str(missing_extra_error("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
@@ -175,7 +180,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
 def undetermined_combination_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
-    """Table of undetermined combinations of parameters, with the measurement that determines each."""
+    """Table of undetermined combinations of parameters, with the measurement that determines each of them."""
     table_rows = [
         [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
     ]
@@ -191,7 +196,10 @@ def determined_combination_tables(title: str, determined_entries: Sequence[Deter
 
 
 def target_tables(file: Path | None, *, note: str) -> list[TableBlock]:
-    """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file."""
+    """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file.
+
+    `note` is a text below the table.
+    """
     if file is None:
         return []
     names, points, sigma = read_targets(file)
@@ -242,7 +250,7 @@ def target_uncertainty_sentence(sigma: Floats) -> str:
 
 
 def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residuals: bool = False) -> Section:
-    """Section of a recording; residuals are omitted if the section of its calibration shows them.
+    """Section of a recording; with `omits_residuals`, the section of its calibration shows the residuals.
 
     Raises
     ------
@@ -274,7 +282,7 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure(
             "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
         ),
-        KeyFigure("p, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
+        KeyFigure("p-value, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     assessment = assessment_of(agrees and not flagged_readings)
@@ -316,6 +324,7 @@ def _recording_size_sentence(recording: Recording) -> str:
 
 
 def _station_work_tables(recording: Recording) -> list[TableBlock]:
+    """List with the table of the work of each station: pointings, targets, faces, time."""
     table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s

@@ -87,6 +87,7 @@ def _reflector_changes_blocks(content: Plan) -> list[Block]:
 
 
 def _key_figures(content: Plan) -> list[KeyFigure]:
+    """Key figures of a plan: quality, duration, tolerances and broken rules."""
     facts = [
         KeyFigure("stations", str(len(content.stations))),
         KeyFigure("pointings", str(content.pointings)),
@@ -110,7 +111,7 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
 
 
 def _quality_measures(layout: PlannedLayoutEntry) -> dict[str, float]:
-    """Qualities of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
+    """Quality measures of a layout in display units, by label: rms sigma of all points, measures of the goal."""
     measures = {name: value for name, value in layout.qualities.items() if value is not None}
     labels = {name: QUALITY_MEASURE_BY_GOAL.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
+from ltsim.acceptance.files import AcceptanceFile, Judgement, combined_judgement
 from ltsim.adjustment.fieldcheck.recommendations import recommendations_after_check
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
@@ -49,7 +49,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
-MIN_PASS_PROBABILITY = 0.5
+"""Type variable of an entry of a history that names two calibrations."""
+MIN_GOOD_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
@@ -68,14 +69,14 @@ UNDETECTABLE_NOTE = (
 MAX_BUDGET_BARS = 40
 """Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
 MAX_LISTED_TESTS = 200
-"""Largest number of acceptance tests in a table, the least likely to pass first."""
+"""Largest number of acceptance tests in a table; those that are least likely to pass are listed."""
 
 
 def check_section(content: Check, context: SectionContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
-    blocks: list[Block] = [] if file is None else [PictureBlock("At a glance", lambda: read_text(file), caption)]
+    blocks: list[Block] = [] if file is None else [PictureBlock("All readings", lambda: read_text(file), caption)]
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
         blocks += entries_table_blocks(
@@ -102,7 +103,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
 
 
 def comparison_section(content: Comparison, _: SectionContext) -> Section:
-    """Section of a comparison of epochs."""
+    """Section of a comparison of epochs: displacements of the points."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved_targets, p_value = [d.target for d in points if d.moved], content.p_value
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
@@ -119,7 +120,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
-        KeyFigure("no point moved, p", p_text(p_value), assessment_of(p_value >= content.significance_level)),
+        KeyFigure("p-value, if no point moved", p_text(p_value), assessment_of(p_value >= content.significance_level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
@@ -137,17 +138,17 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
 
 
 def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
-    """Section of acceptance tests."""
+    """Section of acceptance tests: errors, limits and judgement."""
     predicted = content.error_origin == "predicted"
     assessment = (
-        assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
+        assessment_of(content.pass_probability >= MIN_GOOD_PASS_PROBABILITY)
         if content.pass_probability is not None
         else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
     )
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.sigma_assumption}." if content.sigma_assumption else ""
-    hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_key)[:MAX_LISTED_TESTS]
+    hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_sort_key)[:MAX_LISTED_TESTS]
     last_column = "pass_probability" if predicted else "judgement"
     blocks: list[Block] = [
         picture_if_few_items(
@@ -155,7 +156,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         ),
         *table_blocks("Groups", content.table("groups"), note=note),
         *entries_table_blocks(
-            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
+            "Tests nearest to the limits", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
             "limit_um", last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table_blocks(
@@ -201,7 +202,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
 
 
 def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
-    """Section of the uncertainties of tasks."""
+    """Section of the uncertainties of tasks (measurands): values, expanded uncertainties and budgets."""
     judged_results = [r for r in content.results if r.conformity is not None]
     results = content.table("results").select_columns(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
@@ -227,7 +228,7 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
     judgements = [r.conformity.judgement for r in judged_results if r.conformity]
-    assessment = ASSESSMENT_BY_JUDGEMENT[joint_judgement(judgements)]
+    assessment = ASSESSMENT_BY_JUDGEMENT[combined_judgement(judgements)]
     return Section(
         content.title or "Uncertainty of tasks",
         "Uncertainty",
@@ -293,15 +294,15 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         blocks += table_blocks("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
-        KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
-        KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
+        KeyFigure("time for this measurement", duration_text(60 * best_proposal.minutes)),
+        KeyFigure("mean decrease of sigma", f"{reductions[0]:.0f} %"),
     ]
     actions = [capitalised_sentence(proposal.action) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 
 def history_section(content: History, _: SectionContext) -> Section:
-    """Section of the history of an instrument."""
+    """Section of the history of an instrument: its calibrations and their changes."""
     labels = content.labels
     content = _with_short_labels(content)
     since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES
@@ -333,7 +334,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     facts = [
         KeyFigure("calibrations", str(len(labels))),
         KeyFigure("events", str(len(content.events)), assessment_of(not content.events)),
-        KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not has_changed)),
+        KeyFigure("p-value, if nothing changed since the first", p_text(since.p_value), assessment_of(not has_changed)),
     ]
     answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
     answer += _change_summary_sentence(content, knows_usual_changes)
@@ -345,6 +346,7 @@ def _with_short_labels(content: History) -> History:
     short = dict(zip(content.labels, labels_without_common_prefix(content.labels), strict=True))
 
     def with_short_label(entry: NamedEntryT) -> NamedEntryT:
+        """Copy of an entry with the shortened labels of its calibrations."""
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
 

@@ -24,14 +24,14 @@ from ltsim.reports.residuals import OBSERVABLE_UNITS
 from ltsim.reports.sections.network import AdjustmentsWithoutAndWithParameters
 from ltsim.simulation.truth import AppliedEffect, Truth
 
-INJECTED_TABLE = Table(
+INJECTED_EFFECTS_TABLE = Table(
     "injected.csv",
     "injected effects of a simulated recording, and the findings",
     text_columns(
         quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"
     ),
 )
-"""Table of injected effects and findings."""
+"""Columns of the table of injected effects and findings."""
 
 
 def effect_place_text(effect: Any) -> str:
@@ -42,7 +42,11 @@ def effect_place_text(effect: Any) -> str:
 def truth_blocks(
     content: Diagnosis, truth: Truth, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> list[Block]:
-    """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
+    """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis.
+
+    `truth` has the injected effects. `adjustments` are those without and with instrument parameters, from which the
+    changes of the readings are computed.
+    """
     applied_by_name = {applied.effect.name: applied for applied in truth.applied_effects}
     effects_of_findings = [applied_by_name.get(f.effect) for f in content.findings]
     effects_of_findings += [
@@ -54,12 +58,15 @@ def truth_blocks(
         for row in _injected_and_finding_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
-    table = table_blocks("Injected and diagnosed", INJECTED_TABLE.with_rows(table_rows), note=note)
+    table = table_blocks("Injected and diagnosed", INJECTED_EFFECTS_TABLE.with_rows(table_rows), note=note)
     return [*_injected_and_estimated_curves(content, truth.applied_effects[0], adjustments), *table]
 
 
 def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
-    """Table rows of an injected effect and its finding: effect, stations and targets, sizes, shape constants."""
+    """Table rows of an injected effect and its finding: effect, stations and targets, sizes, shape parameters.
+
+    `finding` is None if the effect was not detected.
+    """
     true_values: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
         sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
@@ -93,7 +100,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
 def _injected_and_estimated_curves(
     content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> list[Block]:
-    """List with a figure of the injected and the estimated changes of readings; empty if the effect was not found."""
+    """List with a figure of injected and estimated changes of readings; empty for an undetected effect."""
     finding = next((f for f in content.findings if f.effect == applied_effect.effect.name), None)
     if adjustments is None or finding is None:
         return []

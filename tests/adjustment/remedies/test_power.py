@@ -31,7 +31,7 @@ class Search:
     def __init__(self, faces: int) -> None:
         recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
         self.space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        self.noise = NoiseHypothesisSet.from_space(self.space, noise_hypotheses(self.space.sightings))
+        self.noise = NoiseHypothesisSet.from_residual_space(self.space, noise_hypotheses(self.space.sightings))
         self.detection: GlobalTestResult = run_global_test(
             Searcher(self.space, 0, MIN_SIMULATED_RECORDINGS), self.noise
         )
@@ -68,14 +68,14 @@ class Search:
         """Share of recordings with it whose search is above the threshold."""
         white = random_stream(11, "power").standard_normal((self.space.n_equations, trials))
         residual = self.space.project(white) + shift[:, None]
-        usual = NullEnsemble.from_space
+        usual = NullEnsemble.from_residual_space
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
             patch.setattr(
                 NullEnsemble,
-                "from_space",
+                "from_residual_space",
                 staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
-            scored = Searcher(self.space, 0).empty_model_screening.null_statistics
+            scored = Searcher(self.space, 0).empty_model_screening.null_test_statistics
         statistic = np.logaddexp(
             log_sum_exp(self.noise.log_evidence_by_family(residual, self.space.redundancy)), scored
         )

@@ -19,10 +19,10 @@ import pytest
 from ltsim.reports.board import server
 from ltsim.reports.board.board import MovableLayout
 from ltsim.reports.board.server import (
+    HTTP_RESPONSE_HEADERS,
     MAX_BODY_BYTES,
     MAX_CONNECTIONS,
     MAX_HEADER_BYTES,
-    RESPONSE_HEADERS,
     PlannerRequests,
 )
 from tests.planning.test_hall import HALL, points_csv
@@ -271,7 +271,7 @@ def test_another_method_is_refused_without_a_word_of_the_request(method: str, bo
         raw = board.sent(f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nX: <script>\r\n\r\n".encode())
         head, _, content = raw.partition(b"\r\n\r\n")
         assert head.split()[1] == b"501" and content == b"" and b"script" not in head
-        assert all(f"\r\n{name}: {value}".encode() in head for name, value in RESPONSE_HEADERS.items())
+        assert all(f"\r\n{name}: {value}".encode() in head for name, value in HTTP_RESPONSE_HEADERS.items())
 
 
 def test_a_request_without_a_version_gets_no_page(board: Open) -> None:

@@ -1,7 +1,7 @@
-"""Posterior distribution of the parameters and shape constants of an effect, on a grid of shape constants.
+"""Posterior distribution of the parameters and shape parameters of an effect, on a grid of shape parameters.
 
-A shape constant is a constant on which the effect does not depend linearly, such as a time constant. The grid also
-includes neighbouring places, such as the time of a step in the next gap between pointings.
+A shape parameter enters the effect nonlinearly (period, time constant, onset time). The grid also includes neighbouring
+places, such as the time of a step in the next gap between pointings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,9 +12,9 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.evidence import index_of_largest, normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import index_of_most_evidence, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.hypotheses import EffectModel
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
@@ -22,25 +22,28 @@ from ltsim.scene.sightings import Sightings
 REGION_CENTRE_DIFFERENCE_STEP = 0.05
 """Step [m] of the centre of a region of the hall for second differences of the log evidence."""
 MAX_CENTRE_SIGMA_IN_STEPS = 20.0
-"""Standard deviation, divided by `REGION_CENTRE_DIFFERENCE_STEP`, that a coordinate of a region's centre gets if the
-readings do not determine it."""
+"""Largest standard deviation of a coordinate of a region's centre, divided by `REGION_CENTRE_DIFFERENCE_STEP`. A
+coordinate that the readings do not determine gets this standard deviation."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape constant is integrated, from one coarse step below its optimum to one coarse
-step above."""
+"""Number of grid points over which a shape parameter is integrated, from one coarse step below its optimum to one
+coarse step above."""
 N_REFINEMENT_GRID_POINTS = 9
-"""Number of points of each refinement of the grid around its optimum, whose peak may be much narrower than a step."""
+"""Number of points of each refinement of the grid of a shape parameter around its optimum, whose peak may be much
+narrower than a step."""
 N_GRID_REFINEMENTS = 2
-"""Number of refinements of the grid around its optimum."""
+"""Number of refinements of the grid of a shape parameter around its optimum."""
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
-    """Grid of q values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
+    """Grid of q values (q,) of a shape parameter within its bounds, and the widths (q,) of the cells of the grid.
 
-    The grid has `n_nodes` values over the bounds, and is denser within four standard deviations `sigma` of `estimate`.
-    The widths are in the coordinate in which the grid is evenly spaced: the value, its logarithm, or its reciprocal.
+    `shape` defines the shape parameter. The grid has `n_nodes` values over the bounds, and is denser within four
+    standard deviations `sigma` of `estimate`. The widths are in the coordinate in which the grid is evenly spaced: the
+    value, its logarithm, or its reciprocal.
     """
 
     def even_coordinate(x: Floats) -> Floats:
+        """Coordinate of the values `x` in which the grid is evenly spaced."""
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
     low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
@@ -55,10 +58,10 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
-    """Value of a shape constant at a `position` from -1 at `lower` to 1 at `upper`.
+def shape_parameter_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
+    """Value of the shape parameter `shape` at a `position` from -1 at `lower` to 1 at `upper`.
 
-    The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the constant.
+    The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the parameter.
     """
     s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
@@ -69,9 +72,13 @@ def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float
 
 
 def integrate_over_shapes(
-    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: EffectModel
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable shape constants, and log evidence averaged over a cell of the coarse grid."""
+    """Effect with the most probable shape parameters, and log evidence averaged over a cell of the coarse grid.
+
+    Shape parameters enter nonlinearly (period, time constant, onset time). The effects of `conditioning_model` are
+    estimated in addition.
+    """
     effect, value = calculator.refine_locally([effect], conditioning_model)[0]
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
@@ -84,12 +91,13 @@ def _integrate_over_shape(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
     shape: ShapeParameter,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     log_evidence: float,
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable value of one shape constant, and log evidence averaged over a coarse cell.
+    """Effect with the most probable value of one shape parameter, and log evidence averaged over a coarse grid cell.
 
-    The cell extends over one step of the coarse grid on both sides. `log_evidence` is the log evidence of `effect`.
+    The cell extends over one step of the coarse grid on both sides. `shape` defines the shape parameter, and
+    `log_evidence` is the log evidence of `effect`. The effects of `conditioning_model` are estimated in addition.
     """
     now = float(getattr(effect, shape.name))
     low, high = shape.neighbouring_grid_interval(now)
@@ -98,27 +106,31 @@ def _integrate_over_shape(
     u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
 
     def log_evidence_at(positions: Floats) -> Floats:
-        values = (shape_constant_at_position(shape, low, high, x) for x in positions.tolist())
+        """Log evidence at positions from -1 to 1: one coarse step below and above the value of the effect."""
+        values = (shape_parameter_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
             [effect.with_shape_parameters(**{shape.name: value}) for value in values], conditioning_model
         )
 
     logs = log_evidence_at(u)
     for _ in range(N_GRID_REFINEMENTS):
-        top = index_of_largest(logs)
+        top = index_of_most_evidence(logs)
         near = u[max(top - 1, 0) : top + 2]
         more = np.setdiff1d(np.linspace(near[0], near[-1], N_REFINEMENT_GRID_POINTS), u)
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
     best_effect = effect.with_shape_parameters(
-        **{shape.name: shape_constant_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
+        **{shape.name: shape_parameter_at_position(shape, low, high, float(u[index_of_most_evidence(logs)]))}
     )
     height = np.exp(logs - logs.max())
     return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in place, or in a shape constant by more than the interval of integration over it."""
+    """True if two effects differ in stations or targets, or in a shape parameter by more than its integration interval.
+
+    Shape parameters enter nonlinearly (period, time constant, onset time).
+    """
     if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
@@ -128,19 +140,19 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
     return False
 
 
-class ShapeConstantsNode(NamedTuple):
-    """Node of the grid of shape constants of an effect: their values, and estimates of the k parameters."""
+class ShapeParameterNode(NamedTuple):
+    """Node of the grid of shape parameters of an effect: their values, and estimates of the k parameters."""
 
     effect: CandidateEffect
-    """Effect with these shape constants."""
+    """Effect with the shape parameters of the node."""
     log_weight: float
-    """Log of the evidence times the volume of the node's cell of the grid."""
-    shape_constants: dict[str, float]
-    """Values [SI] of the shape constants by name, including the time of a change."""
+    """Log of the evidence at the node times the volume of its cell of the grid."""
+    shape_parameters: dict[str, float]
+    """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats
-    """Posterior mean (k,) of the k parameters [SI]."""
+    """Posterior mean (k,) of the k parameters [SI], given the shape parameters of the node."""
     parameter_variances: Floats
-    """Posterior variance (k,) of the k parameters [SI]."""
+    """Posterior variance (k,) of the k parameters [SI], given the shape parameters of the node."""
     gap_duration: float
     """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
 
@@ -159,7 +171,10 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
 
 def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
-    """Effect and its neighbours, one for each place and gap between pointings, so that each gap has the same weight."""
+    """Effect and its neighbours (slightly different effects), one for each place and gap between pointings.
+
+    Each gap has then the same weight.
+    """
     by_gap = {}
     for instance in [*effect.neighbours(sightings), effect]:
         gap_index, _ = _index_and_duration_of_gap(instance, sightings)
@@ -167,35 +182,34 @@ def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[
     return list(by_gap.values())
 
 
-def shape_constants_nodes(
+def shape_parameter_nodes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    conditioning_model: Model,
-    shape_constant_sigmas: Mapping[str, float],
+    conditioning_model: EffectModel,
+    shape_parameter_sigmas: Mapping[str, float],
     *,
     uses_search_prior: bool = False,
-) -> list[ShapeConstantsNode]:
-    """Nodes of the grid of an effect over its shape constants and neighbouring places.
+) -> list[ShapeParameterNode]:
+    """Nodes of a grid over the shape parameters of an effect, and over neighbouring effects (other gap or place).
 
-    The result is empty for an effect with neither.
-
-    The grid is finer around the shape constants of `effect`. `shape_constant_sigmas` are the standard deviations [SI]
-    of these constants by name. The weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the
-    prior that the search uses.
+    The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
+    parameters of `effect`. `shape_parameter_sigmas` are the standard deviations [SI] of these parameters by name. The
+    weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the prior of the search. The effects
+    of `conditioning_model` are estimated in addition.
     """
     shape_parameters = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
     ]
-    near = effect.neighbours(calculator.space.sightings)
+    near = effect.neighbours(calculator.residual_space.sightings)
     if not (shape_parameters or near) or len(shape_parameters) > 2:
         return []
     n_grid_values = 33 if len(shape_parameters) == 1 and not near else 15
     axes = [
-        _dense_grid(s, float(vars(effect)[s.name]), shape_constant_sigmas.get(s.name, 0.0), n_grid_values)
+        _dense_grid(s, float(vars(effect)[s.name]), shape_parameter_sigmas.get(s.name, 0.0), n_grid_values)
         for s in shape_parameters
     ]
     plausible_sizes = effect.plausible_sizes
-    sightings = calculator.space.sightings
+    sightings = calculator.residual_space.sightings
     points = [
         (
             instance,
@@ -223,12 +237,12 @@ def shape_constants_nodes(
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         _, gap_duration = _index_and_duration_of_gap(instance, sightings)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap_duration) if gap_duration else 0.0)
-        nodes.append(ShapeConstantsNode(shape, weight, constants, mean, np.diag(covariance), gap_duration))
+        nodes.append(ShapeParameterNode(shape, weight, constants, mean, np.diag(covariance), gap_duration))
     return nodes
 
 
 def region_centre_estimates(
-    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: EffectModel
 ) -> tuple[ParameterEstimate, ...]:
     """Estimated coordinates, in the network frame, of the centre of the region of an effect; empty without a region.
 
@@ -269,25 +283,25 @@ def region_centre_estimates(
 def estimates_averaged_over_shapes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    conditioning_model: Model,
+    conditioning_model: EffectModel,
     estimates: Sequence[ParameterEstimate],
 ) -> dict[str, ParameterEstimate]:
-    """Posterior means and standard deviations of the parameters and shape constants of an effect, by name.
+    """Posterior means and standard deviations of the parameters and shape parameters of an effect, by name.
 
-    The posterior is summed over a grid of shape constants that is densest at `estimates`. Unlike the Laplace
+    The posterior is summed over a grid of shape parameters that is densest at `estimates`. Unlike the Laplace
     approximation, the results are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for
-    effects without shape constants.
+    effects without shape parameters. The effects of `conditioning_model` are estimated in addition.
     """
-    nodes = shape_constants_nodes(
+    nodes = shape_parameter_nodes(
         calculator, effect, conditioning_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}
     )
     if not nodes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in nodes]))
-    node_values = np.array([[*node.parameter_means, *node.shape_constants.values()] for node in nodes])
+    node_values = np.array([[*node.parameter_means, *node.shape_parameters.values()] for node in nodes])
     within = np.array(
         [
-            [*s.parameter_variances, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.shape_constants)]
+            [*s.parameter_variances, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.shape_parameters)]
             for s in nodes
         ]
     )
@@ -298,7 +312,7 @@ def estimates_averaged_over_shapes(
         | {s.name: s.unit for s in type(effect).shape_parameters}
         | {p.name: p.unit for p in effect.parameters}
     )
-    names = [*(p.name for p in effect.parameters), *nodes[0].shape_constants]
+    names = [*(p.name for p in effect.parameters), *nodes[0].shape_parameters]
     return {
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
