@@ -54,8 +54,7 @@ MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
 of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
-"""Number of catalogue effects, and of empirical laws, that a step evaluates without approximation in a large
-network."""
+"""Number of catalogue effects, and of empirical laws, that a step evaluates exactly in a large network."""
 MAX_RANKED_LAWS = 400
 """Largest number of empirical laws in a ranking of hypotheses."""
 MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15

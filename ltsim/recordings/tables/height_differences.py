@@ -1,7 +1,7 @@
 """Elevations from height differences, for tables of horizontal distances without vertical angles.
 
-Data collectors often export the reduced readings `Hz`, `HD` and `dH` in place of the vertical angle and the slope
-distance. Height difference and horizontal distance then determine the elevation.
+Data collectors often export horizontal distance (HD) and height difference (dH) in place of the slope distance and the
+vertical angle. Height difference and horizontal distance then determine the elevation.
 """
 
 from __future__ import annotations
