@@ -58,7 +58,7 @@ def variance_factors(adjustments: list[Adjustment]) -> Floats:
     """(3,) ratio of found to stated standard deviation of range, azimuth, elevation (Helmert, one round)."""
     squares, redundancy = np.zeros(3), np.zeros(3)
     for a in adjustments:
-        squares += np.nansum((a.residuals / a.problem.sigma) ** 2, axis=0)
+        squares += np.nansum((a.residuals / a.problem.reading_sigmas) ** 2, axis=0)
         redundancy += np.nansum(a.redundancy, axis=0)
     factors: Floats = np.sqrt(squares / redundancy)
     return factors

@@ -21,7 +21,7 @@ from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
 """Distance [m] of an adjusted station from its position on a floor plan, from which on the plan is ignored."""
-UNKNOWN_POINT = (np.nan, np.nan, np.nan)
+UNDECLARED_COORDINATES = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
 
@@ -69,7 +69,7 @@ class DeclaredFrame:
             + marks.instrument_offsets,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
-            _points_in_metres([s.position_mm or UNKNOWN_POINT for s in setups]),
+            _points_in_metres([s.position_mm or UNDECLARED_COORDINATES for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
             _points_in_metres(
@@ -258,16 +258,16 @@ def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only
     """
     target = recording.target_setup(name) if name else None
     if target is None:
-        return UNKNOWN_POINT
+        return UNDECLARED_COORDINATES
     if target.known_mm is not None and target.known_axes == "xyz":
         return target.known_mm
-    return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNKNOWN_POINT
+    return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNDECLARED_COORDINATES
 
 
 def _xy_reference_coordinates(target: Target) -> tuple[float, ...]:
     """Coordinates [mm] of a target with known x and y, with height 0; NaN for other targets."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
-        return UNKNOWN_POINT
+        return UNDECLARED_COORDINATES
     return *target.known_mm[:2], 0.0
 
 

@@ -29,12 +29,12 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Pred
 from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, SparsityPattern, to_dense
 from ltsim.solve.elimination import BlockSystem
 
-DATUM_SIGMA = np.full(6, 1e-8)
+DATUM_CONSTRAINT_SIGMAS = np.full(6, 1e-8)
 """Standard deviations [m, rad] of the constraints that define the datum. They do not influence the adjusted shape. For
 correct covariances they must be far below the standard deviations of the network; smaller values would cause rounding
 errors.
 """
-WEAK_PRIOR_FACTOR = 300.0
+WEAK_EFFECT_PRIOR_FACTOR = 300.0
 """Standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of the
 parameter."""
 
@@ -48,7 +48,7 @@ class NetworkProblem(NetworkRows):
     unknowns, priors of the instrument parameters, weak priors of the additional effects, datum.
     """
 
-    sigma: Floats
+    reading_sigmas: Floats
     """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
@@ -64,7 +64,7 @@ class NetworkProblem(NetworkRows):
         *,
         sigma: Floats | None = None,
         reading_mask: Bools | None = None,
-        effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
+        effect_prior_sigma: float = WEAK_EFFECT_PRIOR_FACTOR,
         prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
         """Problem of a measurement model, with the reference values of its recording.
@@ -88,7 +88,7 @@ class NetworkProblem(NetworkRows):
         effect_sigmas += [size for errors in model.nuisance_errors for size in errors.plausible_sizes]
         return cls(
             model=model,
-            sigma=recording.sigma() if sigma is None else sigma,
+            reading_sigmas=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.from_sigmas(prior_sigmas(recording, model.construction)),
             effect_prior_sigmas=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
@@ -106,7 +106,7 @@ class NetworkProblem(NetworkRows):
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
         """Problem with another measurement model of the same pointings; reference values and weights are unchanged."""
         new_problem = NetworkProblem.from_model(
-            model, sigma=self.sigma, reading_mask=self.is_used_reading, prior=self.prior
+            model, sigma=self.reading_sigmas, reading_mask=self.is_used_reading, prior=self.prior
         )
         differences = new_problem.difference_rows.subset(
             np.isin(new_problem.difference_rows.names, self.difference_rows.names)
@@ -140,7 +140,7 @@ class NetworkProblem(NetworkRows):
         The set-up and the pointings of `model` are the same; the order of the pointings may differ.
         """
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
-        moved = replace(moved, sigma=theirs.sigma())
+        moved = replace(moved, reading_sigmas=theirs.sigma())
         vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(moved)["_sparsity_pattern"] = self._sparsity_pattern
@@ -178,7 +178,7 @@ class NetworkProblem(NetworkRows):
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
         """Whitened residuals (m,) of all m equations at a state, with predicted `readings` of n pointings (n, 3)."""
-        pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
+        pointings = (self.reading_residuals(readings) / self.reading_sigmas)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.point_indices])
         marks = self.control_rows_of_marks.whitened_residuals(
@@ -187,8 +187,8 @@ class NetworkProblem(NetworkRows):
         differences = self.difference_rows.whitened_residuals(
             self.difference_rows.predict(state.target_points, state.station_positions)
         )
-        levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.sigma[:, None]
-        yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
+        levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.tilt_sigmas[:, None]
+        yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.yaw_sigmas
         fixed_residuals = np.zeros(self.undetermined_unknowns.n_fixing_equations)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
         effect_residuals = -(state.extra_parameters / self.effect_prior_sigmas)[np.isfinite(self.effect_prior_sigmas)]
@@ -225,7 +225,7 @@ class NetworkProblem(NetworkRows):
             self._whitened_derivatives(state, prediction),
         )
         del prediction  # the prediction takes as much memory as the design matrix
-        design = self._sparsity_pattern.fill(values)
+        design = self._sparsity_pattern.make_design_matrix(values)
         if self.gauge_rows.correlation_cholesky_factor is not None:
             design = self._decorrelate_lengths(design)
         return BlockSystem(design, residual, self.unknowns.n_retained)
@@ -288,15 +288,15 @@ class NetworkProblem(NetworkRows):
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
         """Nonzero elements of the whitened design by kind of equation, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
-        direction = self.gauge_rows.unit_vectors(state.target_points)
+        direction = self.gauge_rows.line_directions(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
         yield gauge / self.gauge_rows.sigma[:, None]
         yield self.control_rows.derivatives()
         yield self.control_rows_of_marks.derivatives()
         yield self.difference_rows.derivatives()
-        yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.sigma[:, None, None]
-        yield self.yaw_rows.derivative(state.station_rotations) / self.yaw_rows.sigma[:, None]
-        yield self.undetermined_unknowns.fixing_coefficients(state) / DATUM_SIGMA[0]
+        yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.tilt_sigmas[:, None, None]
+        yield self.yaw_rows.yaw_derivatives(state.station_rotations) / self.yaw_rows.yaw_sigmas[:, None]
+        yield self.undetermined_unknowns.fixing_coefficients(state) / DATUM_CONSTRAINT_SIGMAS[0]
         yield (
             self.prior.whitening_matrices
             if self.prior.has_correlations
@@ -321,7 +321,7 @@ class NetworkProblem(NetworkRows):
             if held.any():  # only its prior determines a fixed parameter, which therefore stays at its mean
                 parts[2] = np.where(held[piece], 0.0, parts[2])
             use = self.is_used_reading[piece]
-            yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
+            yield np.concatenate(parts, axis=2)[use] / self.reading_sigmas[piece][use][:, None]
 
     def _prior_row_columns(self) -> Ints:
         """Column indices (m, 1) of the m equations of the prior, or (m, p) if the p parameters are correlated."""
@@ -338,7 +338,9 @@ class NetworkProblem(NetworkRows):
 
     def _datum_rows(self, state: NetworkState) -> Floats:
         """Whitened equations (f, 6 a) that fix the f free rigid motions at the a `datum_stations`."""
-        return self.datum_directions(state) / np.tile(DATUM_SIGMA, len(self.undetermined_unknowns.datum_stations))
+        return self.datum_directions(state) / np.tile(
+            DATUM_CONSTRAINT_SIGMAS, len(self.undetermined_unknowns.datum_stations)
+        )
 
     def datum_directions(self, state: NetworkState) -> Floats:
         """Changes (f, 6 a) of the poses of the a `datum_stations` by the f free motions, which the datum fixes."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.axes import MAX_RELATIVE_MISCLOSURE
+from ltsim.adjustment.axes import MAX_RELATIVE_POINT_MISCLOSURE
 from ltsim.adjustment.blunders import correct_units, detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
@@ -24,7 +24,7 @@ from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import MAX_LISTED_SENTENCES, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_AND_CONVENTION_ERRORS, ColumnConversion
 
 MAX_CONSISTENT_SIGMA0 = 100.0
@@ -212,7 +212,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on declared positions of upright stations that do not fit the network, or fit its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
     planned_indices = np.flatnonzero(np.isfinite(frame.floor_plan_positions).all(axis=1))
-    if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
+    if len(planned_indices) < MIN_POINTS_FOR_POSE or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
     here, there = (
         state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
@@ -225,7 +225,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
         float(alignment_distances(places, there, upright_alignment(places, there)).max())
         for places in (here, here * [1.0, -1.0, 1.0])
     )
-    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_MISCLOSURE * extent):
+    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_POINT_MISCLOSURE * extent):
         return
     names = names_text([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
@@ -350,7 +350,7 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     """
     problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
     range_, station = adjustment.sightings.range_, adjustment.recording.station
-    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    sigma_lengths = problem.reading_sigmas * np.stack([np.ones_like(range_), range_, range_], axis=1)
     min_sigmas = np.min(np.where(problem.is_used_reading, sigma_lengths, np.inf), axis=1)
     steepest, has_readings = np.zeros(len(spread)), np.isfinite(min_sigmas)
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
@@ -368,5 +368,5 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
         gaps = [gap - problem.model.predict(state) for gap in gaps]
         for gap in gaps:
             gap[:, 1:] = wrap_angle(gap[:, 1:])
-        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.is_used_reading]))
+        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.reading_sigmas)[problem.is_used_reading]))
     return bend

@@ -26,7 +26,7 @@ from ltsim.adjustment.reference_values import (
     with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import (
-    critical_w,
+    critical_normalised_residual,
     level_of_single_test,
     neg_log_p_chi2,
     noise_factor,
@@ -36,8 +36,8 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
-    MIN_CLEAR_SIGMAS,
-    MIN_GROSS_SIGMAS,
+    MIN_CERTAIN_ERROR_SIGMAS,
+    MIN_GROSS_ERROR_SIGMAS,
     MIN_REPORTED_PROBABILITY,
 )
 from ltsim.adjustment.snooping import snoop_readings
@@ -45,16 +45,16 @@ from ltsim.core.arrays import Bools
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
-MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
-"""Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
-larger residual."""
+MIN_TESTED_WHITENED_RESIDUAL = MIN_CERTAIN_ERROR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+"""Smallest whitened residual of a tested reference value. An error of `MIN_CERTAIN_ERROR_SIGMAS` standard deviations
+causes a larger residual, if the redundancy number is at least `MIN_TESTED_REDUNDANCY`."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
 """Smallest number of other reference values of the same kind at which one of several contradicting values is identified
 as wrong; with fewer values none is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
 certainly wrong."""
-MAX_EXCLUDED_FRACTION = 1 / 3
+MAX_EXCLUDED_REFERENCE_FRACTION = 1 / 3
 """Largest fraction of excluded reference values of one kind. If more are wrong, all values of this kind are
 inconsistent and none is excluded."""
 
@@ -107,13 +107,15 @@ def snoop_references(
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
     weak = [
-        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _rms_normalised_error(others[test.kind])
+        test
+        for test in gone
+        if test.normalised_error < MIN_CERTAIN_ERROR_SIGMAS * _rms_normalised_error(others[test.kind])
     ]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, reference_kinds, again)
-    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
+    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_ERROR_SIGMAS
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
     return reduced, ended, tuple(_tests_with_final_errors(out, problem, (reduced, ended)))
@@ -154,7 +156,7 @@ def _contradicting_group(
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
-        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
+        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CERTAIN_ERROR_SIGMAS)
         if rivals and len(others) < MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
@@ -179,7 +181,11 @@ def _penalised_chi2(
     paid = sum(
         float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_WISE_LEVEL))) for test in excluded_tests
     )
-    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.is_used_reading.sum()))
+    return (
+        ended.sum_of_squares
+        + paid
+        + critical_normalised_residual(readings) ** 2 * (readings - int(accepted.is_used_reading.sum()))
+    )
 
 
 def _most_contradicting_observation(
@@ -214,7 +220,9 @@ def _most_contradicting_observation(
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_WISE_LEVEL):
+    if scaled < max(MIN_CERTAIN_ERROR_SIGMAS, critical_normalised_residual(count)) ** 2 or chance < -np.log(
+        FAMILY_WISE_LEVEL
+    ):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # both causes are tested with the same noise
@@ -257,9 +265,10 @@ def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str
 def _is_any_kind_inconsistent(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> bool:
-    """True if the fraction of excluded values exceeds `MAX_EXCLUDED_FRACTION` for a kind of reference value."""
+    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of any kind are excluded."""
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in excluded_tests]
     return any(
-        gone.count(kind) > max(1.0, MAX_EXCLUDED_FRACTION * every.count(kind)) for kind in TESTED_REFERENCE_KINDS
+        gone.count(kind) > max(1.0, MAX_EXCLUDED_REFERENCE_FRACTION * every.count(kind))
+        for kind in TESTED_REFERENCE_KINDS
     )

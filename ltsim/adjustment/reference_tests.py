@@ -16,7 +16,7 @@ from ltsim.adjustment.reference_values import (
     with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import noise_factor, noncentrality
-from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CLEAR_SIGMAS
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
@@ -25,7 +25,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve
 
-REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
+PHRASE_BY_REFERENCE_KIND: dict[ReferenceKind, str] = {
     "point": "the known coordinates of",
     "difference": "the known difference",
     "length": "the known length",
@@ -36,7 +36,7 @@ REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
     "scale": "the scale of",
 }
 """First words of a sentence on a reference value, by its kind; the name of the value follows them."""
-ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
+ERROR_UNIT_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested."""
@@ -56,7 +56,7 @@ class ReferenceTest(ReferenceValue):
     error: Floats
     """Estimated error of each of q components, (q,) [m, rad or 1]: declared value minus estimate by other
     observations."""
-    sigma_error: Floats
+    error_sigmas: Floats
     """Standard deviations (q,) of the errors of the q components; infinite if other observations do not test a
     component."""
     chi2_drop: float
@@ -65,7 +65,7 @@ class ReferenceTest(ReferenceValue):
     """Number of components of the reference value that the other observations of the network test."""
     is_excluded: bool = False
     """True if the value contradicts the other observations and is excluded from the adjustment."""
-    critical_value: float = MIN_CLEAR_SIGMAS
+    critical_value: float = MIN_CERTAIN_ERROR_SIGMAS
     """Critical value of the test: value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
     """Names of other reference values whose errors would explain the misfit equally well. Neither this value nor the
@@ -81,9 +81,10 @@ class ReferenceTest(ReferenceValue):
         """True if the error is significant in the height but not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
         small = [
-            max(MIN_CLEAR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height) for sigma in self.sigma_error[:-1]
+            max(MIN_CERTAIN_ERROR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height)
+            for sigma in self.error_sigmas[:-1]
         ]
-        is_significant = height > MIN_CLEAR_SIGMAS * self.sigma_error[-1]
+        is_significant = height > MIN_CERTAIN_ERROR_SIGMAS * self.error_sigmas[-1]
         return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
 
     @property
@@ -94,13 +95,13 @@ class ReferenceTest(ReferenceValue):
         """
         error_size = float(np.linalg.norm(self.error))
         sigma = error_size / self.normalised_error if self.normalised_error else 0.0
-        unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
+        unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(error_size / factor, sigma / factor, unit)
 
     @property
     def sentence(self) -> str:
         """Sentence on a reference value that contradicts the other observations."""
-        what = f"{REFERENCE_KIND_PHRASES[self.kind]} {self.name}"
+        what = f"{PHRASE_BY_REFERENCE_KIND[self.kind]} {self.name}"
         if self.kind == "mark":
             others = ", ".join(self.indistinguishable_from)
             mark = f"the mark of {others}" if others else "its mark"
@@ -129,18 +130,20 @@ class ReferenceTest(ReferenceValue):
 
     def with_noise_factor(self, factor: float) -> Self:
         """Test for noise that is larger than declared: all standard deviations are multiplied by `factor`."""
-        chi2_drop, sigma_error = self.chi2_drop / factor**2, factor * self.sigma_error
-        return replace(self, sigma=factor * self.sigma, sigma_error=sigma_error, chi2_drop=chi2_drop)
+        chi2_drop, error_sigmas = self.chi2_drop / factor**2, factor * self.error_sigmas
+        return replace(
+            self, declared_sigmas=factor * self.declared_sigmas, error_sigmas=error_sigmas, chi2_drop=chi2_drop
+        )
 
     @property
     def redundancy(self) -> Floats:
         """Redundancy numbers (q,) of q components: derivative of the residual of each with respect to its error."""
-        return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
+        return np.where(self.error_sigmas > 0, np.minimum((self.declared_sigmas / self.error_sigmas) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable_errors(self) -> Floats:
         """Minimal detectable errors (q,) of the q components at a power of 80 %; infinite for untested components."""
-        return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.sigma_error
+        return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.error_sigmas
 
 
 def reference_tests(
@@ -232,7 +235,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
         value.kind,
         value.name,
         value.declared_axes,
-        value.sigma,
+        value.declared_sigmas,
         value.residual,
         eigen_errors @ (eigen_products / redundancies),
         np.where(is_determined, np.sqrt(np.sum(eigen_errors**2 / redundancies, axis=1)), np.inf),

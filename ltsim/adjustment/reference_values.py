@@ -35,7 +35,7 @@ class ReferenceValue:
     """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
     declared_axes: str
     """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
-    sigma: Floats
+    declared_sigmas: Floats
     """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
     residual: Floats
     """Declared minus adjusted value of each of q components, (q,) [m, rad or 1]."""
@@ -89,11 +89,14 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
             first += len(root)
     tilts = -problem.level_rows.axis_tilts(state.station_rotations)
     for i, station in enumerate(problem.level_rows.station_indices.tolist()):
-        sigma, rows = np.full(2, problem.level_rows.sigma[i]), problem.level_row_slice.start + 2 * i + np.arange(2)
+        sigma, rows = (
+            np.full(2, problem.level_rows.tilt_sigmas[i]),
+            problem.level_row_slice.start + 2 * i + np.arange(2),
+        )
         yield ReferenceValueRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     gap, first = problem.yaw_rows.yaw_residuals(state.station_rotations), problem.level_row_slice.stop
     for i, station in enumerate(problem.yaw_rows.station_indices.tolist()):
-        sigma = problem.yaw_rows.sigma[i : i + 1]
+        sigma = problem.yaw_rows.yaw_sigmas[i : i + 1]
         rows = np.array([first + i])
         yield ReferenceValueRows(
             "yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None]
@@ -126,7 +129,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
     if not shared.any():
         return
     number = np.cumsum(problem.is_used_reading).reshape(problem.is_used_reading.shape) - 1
-    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
+    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.reading_sigmas[:, :, None]
     for s in np.flatnonzero(shared).tolist():
         readings = problem.is_used_reading & (recording.station == s)[:, None]
         if readings.any():
@@ -182,7 +185,7 @@ def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) 
     if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
-    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    sigma_lengths = problem.reading_sigmas * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = MIN_SIGMA_RELATIVE_TO_READINGS * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem

@@ -33,7 +33,7 @@ divided by the largest change of a reading by the whole effect.
 
 
 @dataclass(frozen=True)
-class LinearisedShapeConstant(LinearEffect):
+class LinearisedShapeParameter(LinearEffect):
     """Linearised effect of a change of one shape constant of an effect, for the estimation of this constant.
 
     The parameter is the relative change of the shape constant.
@@ -119,20 +119,20 @@ class FirstOrderEffect(CandidateEffect):
         return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 
-def _linearised_shape_constants(
-    effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_constants: Collection[str]
-) -> list[LinearisedShapeConstant]:
+def _linearised_shape_parameters(
+    effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_shape_parameters: Collection[str]
+) -> list[LinearisedShapeParameter]:
     """Linearised effects of those shape constants of an effect that influence readings and are not fixed."""
-    linearised_constants = []
+    linearised_shapes = []
     largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
-        if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
+        if shape.name in fixed_shape_parameters or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
-        linearised_constant = LinearisedShapeConstant(effect, tuple(parameter_values), shape)
-        if float(np.abs(linearised_constant.design(sightings)).max()) > MIN_SHAPE_INFLUENCE * largest_change:
-            linearised_constants.append(linearised_constant)
-    return linearised_constants
+        linearised_shape = LinearisedShapeParameter(effect, tuple(parameter_values), shape)
+        if float(np.abs(linearised_shape.design(sightings)).max()) > MIN_SHAPE_INFLUENCE * largest_change:
+            linearised_shapes.append(linearised_shape)
+    return linearised_shapes
 
 
 class ParameterEstimate(NamedTuple):
@@ -165,7 +165,7 @@ def refit_with_effects(
     effects: Sequence[CandidateEffect],
     *,
     start_state: NetworkState,
-    fixed_constants: Sequence[Collection[str]] = (),
+    fixed_shape_parameters: Sequence[Collection[str]] = (),
 ) -> Refit:
     """Adjustment with effects, in which shape constants are estimated together with their uncertainty.
 
@@ -177,24 +177,24 @@ def refit_with_effects(
         Effects in the model, with start values of their shape constants.
     start_state : NetworkState
         Start state of the network.
-    fixed_constants : sequence of collections of str, optional
+    fixed_shape_parameters : sequence of collections of str, optional
         Names, for each effect, of shape constants that are fixed: neither estimated nor reported.
     """
-    fixed_names = fixed_constants or [()] * len(effects)
+    fixed_names = fixed_shape_parameters or [()] * len(effects)
     current = list(effects)
     fitted = joint = adjust_function(effects=current, start_state=start_state)
     if not fitted.solution.has_converged:
         sightings = fitted.problem.model.sightings(start_state)
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
         fitted = joint = adjust_function(effects=current, start_state=start_state)
-    linearised_constants: list[list[LinearisedShapeConstant]] = [[] for _ in current]
+    linearised_shapes: list[list[LinearisedShapeParameter]] = [[] for _ in current]
     for _ in range(MAX_DECISION_CHANGES if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
         each = zip(current, values, fixed_names, strict=True)
-        linearised_constants = [
-            _linearised_shape_constants(effect, sizes, fitted.sightings, out) for effect, sizes, out in each
+        linearised_shapes = [
+            _linearised_shape_parameters(effect, sizes, fitted.sightings, out) for effect, sizes, out in each
         ]
-        flat = [d for group in linearised_constants for d in group]
+        flat = [d for group in linearised_shapes for d in group]
         if not flat:
             break
         joint = adjust_function(effects=[*current, *flat], start_state=fitted.state)
@@ -204,28 +204,28 @@ def refit_with_effects(
         changes = joint.state.extra_parameters[first : first + len(flat)]
         if np.all(np.abs(changes) < SHAPE_CHANGE_TOLERANCE):
             break
-        step = _damped_step(adjust_function, current, linearised_constants, changes, fitted)
+        step = _damped_step(adjust_function, current, linearised_shapes, changes, fitted)
         if step is None:
             break
         current, fitted = step
     named = tuple(e.exact_effect if isinstance(e, FirstOrderEffect) else e for e in current)
-    return Refit(fitted, named, _estimates_with_uncertainty(fitted, joint, current, linearised_constants))
+    return Refit(fitted, named, _estimates_with_uncertainty(fitted, joint, current, linearised_shapes))
 
 
 def _damped_step(
     adjust_function: Callable[..., Adjustment],
     effects: list[CandidateEffect],
-    linearised_constants: list[list[LinearisedShapeConstant]],
+    linearised_shapes: list[list[LinearisedShapeParameter]],
     changes: Floats,
     last_adjustment: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed shape constants, and the adjustment with these effects; None if chi-square increases.
 
-    `changes` are the relative changes of all shape constants, in the order of the `linearised_constants`. They are
+    `changes` are the relative changes of all shape constants, in the order of the `linearised_shapes`. They are
     halved, at most `MAX_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
-        moved = _effects_with_changed_shapes(effects, linearised_constants, share * changes)
+        moved = _effects_with_changed_shapes(effects, linearised_shapes, share * changes)
         tried = adjust_function(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + NORMAL_EQUATIONS_TOLERANCE):
             return moved, tried
@@ -239,12 +239,12 @@ def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats)
 
 
 def _effects_with_changed_shapes(
-    effects: list[CandidateEffect], linearised_constants: list[list[LinearisedShapeConstant]], changes: Floats
+    effects: list[CandidateEffect], linearised_shapes: list[list[LinearisedShapeParameter]], changes: Floats
 ) -> list[CandidateEffect]:
-    """Effects whose shape constants are changed by the relative `changes`, in the order of `linearised_constants`."""
+    """Effects whose shape constants are changed by the relative `changes`, in the order of `linearised_shapes`."""
     change = iter(changes.tolist())
     moves = [
-        {d.shape_parameter.name: d.changed_shape_value(next(change)) for d in group} for group in linearised_constants
+        {d.shape_parameter.name: d.changed_shape_value(next(change)) for d in group} for group in linearised_shapes
     ]
     return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
@@ -253,7 +253,7 @@ def _estimates_with_uncertainty(
     adjustment: Adjustment,
     joint_adjustment: Adjustment,
     effects: Sequence[CandidateEffect],
-    linearised_constants: list[list[LinearisedShapeConstant]],
+    linearised_shapes: list[list[LinearisedShapeParameter]],
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates of the parameters and shape constants of each effect, with standard deviations.
 
@@ -271,8 +271,8 @@ def _estimates_with_uncertainty(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)
     ):
         row = [ParameterEstimate(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
-        for linearised_constant in linearised_constants[i]:
-            now = float(getattr(effect, linearised_constant.shape_parameter.name))
-            row.append(ParameterEstimate(linearised_constant.shape_parameter, now, float(next(relative)[0]) * abs(now)))
+        for linearised_shape in linearised_shapes[i]:
+            now = float(getattr(effect, linearised_shape.shape_parameter.name))
+            row.append(ParameterEstimate(linearised_shape.shape_parameter, now, float(next(relative)[0]) * abs(now)))
         estimates.append(tuple(row))
     return tuple(estimates)

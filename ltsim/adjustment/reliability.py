@@ -19,7 +19,7 @@ from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import robust_sigma
-from ltsim.solve.elimination import BlockFactor
+from ltsim.solve.elimination import FactorisedNormals
 from ltsim.solve.gauss_newton import Solution
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
@@ -28,7 +28,7 @@ MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of the scatter at a target to the scatter at the other targets, above which the target counts as noisy."""
 
 
-def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -> Floats:
+def redundancy_numbers(problem: NetworkProblem, normal_equations: FactorisedNormals) -> Floats:
     """Redundancy numbers (n, 3) of the readings of n pointings; NaN for unused readings.
 
     A redundancy number is the derivative of a residual with respect to an error of its reading.
@@ -46,7 +46,7 @@ def normalise_residuals(problem: NetworkProblem, residuals: Floats, redundancy: 
     """
     is_checked = problem.is_used_reading & (redundancy > NORMAL_EQUATIONS_TOLERANCE)
     w = np.where(problem.is_used_reading, 0.0, np.nan)
-    w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
+    w[is_checked] = residuals[is_checked] / (problem.reading_sigmas[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
 
 
@@ -98,7 +98,7 @@ def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, targe
     return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
 
 
-def critical_w(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
+def critical_normalised_residual(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
     """Critical value of the absolute normalised residual |w| in a joint test of `n_readings` readings (Sidak).
 
     `alpha` is the false-alarm rate of the joint test.
@@ -163,9 +163,9 @@ def iterative_snooping(
     return outliers
 
 
-def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
-    """Significance level of each of `n_tests` tests whose joint significance level is `joint_alpha` (Sidak)."""
-    return float(-np.expm1(np.log1p(-joint_alpha) / max(n_tests, 1)))
+def level_of_single_test(n_tests: int, family_wise_level: float) -> float:
+    """Significance level of each of `n_tests` tests whose joint significance level is `family_wise_level` (Sidak)."""
+    return float(-np.expm1(np.log1p(-family_wise_level) / max(n_tests, 1)))
 
 
 @lru_cache

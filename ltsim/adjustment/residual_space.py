@@ -58,9 +58,9 @@ class ResidualSpace:
         return self.adjustment.problem.is_used_reading
 
     @property
-    def sigma(self) -> Floats:
+    def reading_sigmas(self) -> Floats:
         """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
-        return self.adjustment.problem.sigma
+        return self.adjustment.problem.reading_sigmas
 
     @property
     def n_equations(self) -> int:
@@ -76,7 +76,7 @@ class ResidualSpace:
     def _used_reading_weights(self) -> tuple[Ints, Floats]:
         """Indices (r,) of the r readings in use, and their inverse standard deviations (r, 1)."""
         place = np.flatnonzero(self.is_used_reading)
-        return place, 1.0 / self.sigma.reshape(-1)[place, None]
+        return place, 1.0 / self.reading_sigmas.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
         """Whitened design columns (m, q) of m equations, from changes of the readings and reference lengths.
@@ -100,7 +100,7 @@ class ResidualSpace:
         """Changes (n, 3) [m, rad, rad] of n pointings from whitened changes (m,) of m equations; 0 if unused."""
         readings = np.zeros(self.is_used_reading.shape)
         readings[self.is_used_reading] = (
-            whitened_change[: int(self.is_used_reading.sum())] * self.sigma[self.is_used_reading]
+            whitened_change[: int(self.is_used_reading.sum())] * self.reading_sigmas[self.is_used_reading]
         )
         return readings
 
@@ -161,7 +161,7 @@ class ResidualSpace:
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
             rows = np.flatnonzero(errors.occupation_indices >= 0)
-            slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
+            slope = self.sightings.target_derivatives[rows] / self.reading_sigmas[rows, :, None]
             slope = np.where(self.is_used_reading[rows, :, None], slope, 0.0)
             normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
             np.add.at(normals, errors.occupation_indices[rows], np.einsum("nki,nkj->nij", slope, slope))

@@ -219,7 +219,7 @@ class NetworkInitialiser:
             sight = self._readings.select_rows(rows)
             pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
             if pose is None and level and stand is not None:  # the azimuths alone determine the heading
-                pose = fit_pose(sight.azimuth_subset, places[recording.target[rows]], is_levelled=True, position=stand)
+                pose = fit_pose(sight.only_azimuths, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
                 return True

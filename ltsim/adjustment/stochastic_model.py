@@ -15,7 +15,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import (
     MAX_CONVERGENCE_RATIO,
     MAX_DECISION_CHANGES,
@@ -37,7 +37,7 @@ explain. If the fraction is larger, Cauchy's weights are tried too.
 MAX_ROBUST_STEPS = 25
 """Largest number of reweighted steps. It limits how far many large errors of one target distort the network. With 60
 steps, a target that was displaced at random at every set-up was identified as three motions instead of one."""
-NOISE_KEYS = {
+NOISE_KEYS_BY_OBSERVABLE = {
     "distance": ("distance_mm", "distance_ppm"),
     "azimuth": ("azimuth_arcsec",),
     "elevation": ("elevation_arcsec",),
@@ -53,7 +53,11 @@ def noise_declaration_texts(recording: Recording, observable: str, factor: float
     They are for `[instrument.noise]` of the first instrument, such as "distance_mm to 0.02".
     """
     noise = recording.setup.instrument_named(recording.instruments[0]).noise
-    return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
+    return [
+        f"{key} to {factor * getattr(noise, key):.2g}"
+        for key in NOISE_KEYS_BY_OBSERVABLE[observable]
+        if getattr(noise, key)
+    ]
 
 
 def n_observation_equations(problem: NetworkProblem) -> int:
@@ -148,7 +152,7 @@ def _iterate_weights(
         root[:n_observations] = np.sqrt(weight_function(np.abs(system.whitened_residuals[:n_observations]) / scale))
         design = weight_rows(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(design, system.whitened_residuals * root, system.n_retained)).step()
+            step = FactorisedNormals(BlockSystem(design, system.whitened_residuals * root, system.n_retained)).step()
         except SingularSystemError:
             break
         state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
@@ -252,9 +256,12 @@ def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, 
 
     `group_indices` (n, 3) is the group of each reading of n pointings. The last factor is that of the levels.
     """
-    levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
+    levels = replace(problem.level_rows, tilt_sigmas=problem.level_rows.tilt_sigmas * factor[-1])
     return replace(
-        problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, is_used_reading=reading_mask
+        problem,
+        reading_sigmas=problem.reading_sigmas * factor[group_indices],
+        level_rows=levels,
+        is_used_reading=reading_mask,
     )
 
 

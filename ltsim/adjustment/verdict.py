@@ -189,7 +189,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
     of freedom) at the one-sided significance level `alpha` / 2.
     """
     problem, recording = adjustment.problem, adjustment.recording
-    scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
+    scaled, advice, by_row = adjustment.residuals / problem.reading_sigmas, [], []
     for k, observable in enumerate(OBSERVABLES):
         use = problem.is_used_reading[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())

@@ -21,7 +21,7 @@ from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES,
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
@@ -329,7 +329,7 @@ class BatchCalibrator(TrialCalibrator):
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.true_network.state.target_points
         datum = InnerDatum.from_columns(
-            rigid_motion_design(points, points.mean(axis=0)), columns, covariance.__matmul__
+            rigid_motion_jacobian(points, points.mean(axis=0)), columns, covariance.__matmul__
         )
         blocks = datum.transform_covariance(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))

@@ -207,7 +207,7 @@ def _state_without_blunders(
 
 def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
-    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.reading_sigmas), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 

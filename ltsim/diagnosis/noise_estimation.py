@@ -50,7 +50,7 @@ def reml_gain_function(
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def variance_factors_at(values: Floats) -> Floats:
-        factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
+        factor = (effect.variance(space.sightings, sigma, values) / space.reading_sigmas**2)[used]
         return factor if means is None else 1.0 + added_variance_of_means(means, factor - 1.0)
 
     parameter = np.argmax(

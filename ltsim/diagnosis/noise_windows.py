@@ -189,7 +189,9 @@ class NoiseWindows(GroupNoiseChange):
         whole = replace(
             place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])
         )
-        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.is_used_reading]
+        is_noisy = (whole.variance(s, self.space.reading_sigmas, np.ones(1)) > self.space.reading_sigmas**2)[
+            self.space.is_used_reading
+        ]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         group_indicators = sp.csr_array(self.group_indicators @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
@@ -197,7 +199,7 @@ class NoiseWindows(GroupNoiseChange):
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a change of the noise with given time windows and place, averaged over variance factors."""
         space = self.space
-        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
+        added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[
             space.is_used_reading
         ] - 1.0
         noisy_rows = np.flatnonzero(added)

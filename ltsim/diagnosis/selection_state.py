@@ -190,7 +190,7 @@ class SelectionState:
         If an equal change was selected before, its sizes are increased. All changes of the noise are then estimated
         together.
         """
-        new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.sigma, hypothesis)
+        new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.reading_sigmas, hypothesis)
         if all(change.effect != new_change.effect for change in self.noise_changes):
             return self._with_noise_changes((*self.noise_changes, new_change)).with_estimated_noise(effects)
         noise_changes = [

@@ -15,7 +15,7 @@ from ltsim.planning.tolerances import ToleranceCheck, is_tolerance_met, toleranc
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
-    from ltsim.adjustment.remedies.detectability import MinimalSize
+    from ltsim.adjustment.remedies.detectability import MinimalDetectableSize
     from ltsim.planning.information import ExpectedCriteria, LayoutInformation
     from ltsim.planning.planner import LayoutEvaluation, TradeoffPoint
     from ltsim.planning.survey import PlannedSurvey
@@ -357,7 +357,7 @@ class DetectableSize(Entry):
     the residuals."""
 
     @classmethod
-    def from_minimal_size(cls, row: MinimalSize) -> Self:
+    def from_minimal_size(cls, row: MinimalDetectableSize) -> Self:
         """Entry of a minimal detectable size in units of display."""
         factor = SI_PER_UNIT[row.unit]
         return cls(

@@ -21,7 +21,7 @@ from ltsim.calibration.prior_conflict import log_odds_of_wrong_constants
 from ltsim.core.errors import ModelError
 from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE, PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Prior, Station
 from tests.families import family
@@ -137,7 +137,7 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
     assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
-    motion = rigid_motion_design(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
+    motion = rigid_motion_jacobian(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
     assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
 
 

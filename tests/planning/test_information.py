@@ -225,7 +225,7 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2
             )
             size = mean_detectable_size(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
-            assert size == pytest.approx(visible.minimal_sizes[0][0], rel=1e-6)
+            assert size == pytest.approx(visible.minimal_detectable_sizes[0][0], rel=1e-6)
 
 
 def test_fixed_nests_have_the_reflectors_error_in_both() -> None:

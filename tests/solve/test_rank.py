@@ -15,7 +15,7 @@ from ltsim.solve.design import (
     cholesky_where_determined,
     scale_to_unit_diagonal,
 )
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 
 
 def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
@@ -40,11 +40,11 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
     design = nearly_dependent(size, image) * 10.0 ** random_stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
-        assert BlockFactor(system).smallest_pivot < MIN_RELIABLE_PIVOT
+        assert FactorisedNormals(system).smallest_pivot < MIN_RELIABLE_PIVOT
     else:
         with pytest.raises(SingularSystemError):
-            BlockFactor(system)
-    BlockFactor(system, damping=1e-9)
+            FactorisedNormals(system)
+    FactorisedNormals(system, damping=1e-9)
 
 
 def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:

@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -72,7 +72,7 @@ def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
 def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:
     """True if a fit contains larger noise of all readings, whose true cause may be an unmodelled error."""
     general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
-    return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
+    return any(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in general)
 
 
 @dataclass(frozen=True)
@@ -113,14 +113,14 @@ class CauseSelection:
     first in each group."""
 
     @property
-    def _decisively_supported_hypotheses(self) -> list[CauseHypothesis]:
+    def _certain_hypotheses(self) -> list[CauseHypothesis]:
         """Selected hypotheses that are certain."""
         return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
         """Effects of the certain hypotheses that are shifts of readings."""
-        changes = (h.model_change for h in self._decisively_supported_hypotheses)
+        changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
     @property
@@ -131,7 +131,7 @@ class CauseSelection:
         coordinates, and for a reference value with a large error. The adjustment tests other motions of stations and
         other reference values separately.
         """
-        certain = self._decisively_supported_hypotheses
+        certain = self._certain_hypotheses
         shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
         reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
         large_reference_errors = [
@@ -144,7 +144,7 @@ class CauseSelection:
             or len(large_reference_errors) == 1
         )
         model_changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in model_changes)
+        noisy = any(isinstance(change, NoiseFactorChange) and change.start_factor >= 1.0 for change in model_changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL)
 
     @property
@@ -173,7 +173,7 @@ class CauseSelection:
         """Selected hypotheses if all are noise larger than declared and the network is consistent; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
-        is_noise = all(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in changes)
+        is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
         return chosen if self.is_consistent and is_noise else ()
 
     @property
@@ -186,7 +186,7 @@ class CauseSelection:
         specific tests.
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
+        quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
         omitted = any(isinstance(change, ReferenceOmission) for change in changes)
         others = omitted or any(self.fit.problem.marks.mark_names)
         doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))

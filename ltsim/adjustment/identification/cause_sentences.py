@@ -11,7 +11,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
@@ -19,7 +19,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_tests import ERROR_UNITS
+from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
@@ -49,10 +49,12 @@ def misclosure_and_unit(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[f
     """Misclosure of an excluded reference value [SI], and the name and the size [SI] of its display unit."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
-    return misclosure, *ERROR_UNITS.get(hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE))
+    return misclosure, *ERROR_UNIT_BY_REFERENCE_KIND.get(
+        hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE)
+    )
 
 
-REFERENCE_PHRASES = {
+CAUSE_PHRASE_BY_REFERENCE_KIND = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
     "length": "The reference length",
@@ -74,14 +76,15 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
     """Sentence on an accepted hypothesis that is not about centring errors."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
-        return hypothesis.error_description
-    if isinstance(hypothesis.model_change, NoiseFactor):
+        return hypothesis.reference_name_or_sentence
+    if isinstance(hypothesis.model_change, NoiseFactorChange):
         return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
         miss, unit, factor = misclosure_and_unit(fit, hypothesis)
         plural = hypothesis.model_change.reference_value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
-        phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.error_description}"
+        words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
+        phrase = f"{words} {hypothesis.reference_name_or_sentence}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)

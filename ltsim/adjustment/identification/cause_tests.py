@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CauseKind,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -99,10 +99,13 @@ MAX_LISTED_OUTLIERS = 20
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
     """Tests of the selected hypotheses, the most certain first, followed by tests of the outliers."""
     fit = selection.fit
-    return (*(_accepted_test(fit, choice) for choice in selection.selected_hypotheses), *_outlier_tests(fit))
+    return (
+        *(_test_of_selected_hypothesis(fit, choice) for choice in selection.selected_hypotheses),
+        *_outlier_tests(fit),
+    )
 
 
-def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
+def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
     """Test of one of the selected hypotheses of a fit."""
     h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
@@ -112,10 +115,10 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
         size_entries = estimate_sigma_and_unit(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
-        rank = len(h.model_change.reference_value.sigma)
+        rank = len(h.model_change.reference_value.declared_sigmas)
         miss, unit, factor = misclosure_and_unit(fit, h)
         size_entries = {"estimate": miss / factor, "unit": unit}
-    elif isinstance(h.model_change, NoiseFactor):
+    elif isinstance(h.model_change, NoiseFactorChange):
         size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate_and_covariance(h)[0])
@@ -167,7 +170,7 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
         prediction_sigma = fit.outlier_prediction_error_sigmas[i, k]
-        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * prediction_sigma)
+        value, sigma = float(fit.residuals[i, k]), float(fit.problem.reading_sigmas[i, k] * prediction_sigma)
         drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.identification.evidence import (
-    LOG_ODDS_OF_CENTRING,
+    LOG_PRIOR_ODDS_OF_CENTRING,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of_kind,
@@ -86,7 +86,7 @@ def _log_evidence_gain_and_hypothesis(
     `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
     displacements, and `n_places` the number of places that share the prior probability.
     """
-    centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
+    centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_PRIOR_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
     return log_likelihood_ratio + prior, CauseHypothesis(
@@ -121,7 +121,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     Gauss-Newton iterations. At a set-up the common rigid motion of all reflectors is removed, because the pose of the
     set-up absorbs it.
     """
-    used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.sigma[rows]
+    used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.reading_sigmas[rows]
     sightings = fit.adjustment.sightings
     _, first, of = np.unique(place.occupation_indices[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))

@@ -49,7 +49,7 @@ def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
     return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_HALF_WIDTH_DECADES * np.log(10.0))), 0.0)
 
 
-def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+def estimate_noise_factors_of_groups(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
     """Restricted maximum likelihood estimates (g,) of factors on the standard deviations of g groups of readings.
 
     The second array (g,) contains the log likelihood ratio of each estimate to the declared noise. The arguments are
@@ -64,7 +64,7 @@ def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
-NOISE_SWEEP_TOLERANCE = 0.01
+RELATIVE_NOISE_FACTOR_TOLERANCE = 0.01
 """Largest relative change of a noise factor at which the iteration over the factors ends. The relative standard
 deviation of a factor is larger than this if it is estimated from less than 5,000 readings. """
 
@@ -83,10 +83,10 @@ def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, readin
         for i, mask in enumerate(reading_masks):
             others = np.where(mask, factors * np.exp(-log_factors[i]), factors)
             sums = np.array([np.sum((squared_residuals / others**2)[mask]), np.sum(redundancy[mask])])
-            (factor,), _ = estimate_sigma_factors(sums[:1], sums[1:])
+            (factor,), _ = estimate_noise_factors_of_groups(sums[:1], sums[1:])
             log_factors[i] = np.log(factor)
             factors = np.where(mask, others * factor, others)
-        if not np.abs(log_factors - before).max() > NOISE_SWEEP_TOLERANCE:
+        if not np.abs(log_factors - before).max() > RELATIVE_NOISE_FACTOR_TOLERANCE:
             break
     return factors
 
@@ -103,7 +103,7 @@ def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
     return 0.5 * determinant + float(log_occam_factor_of_variance(determined))
 
 
-PRIOR_PROBABILITY_BY_KIND = {
+PRIOR_PROBABILITY_BY_CAUSE_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
     "constant-step": 0.03,
@@ -128,7 +128,7 @@ kind is possible share this probability equally.
 """
 
 
-LOG_ODDS_OF_CENTRING = -30.0
+LOG_PRIOR_ODDS_OF_CENTRING = -30.0
 """Logarithm of the prior odds of centring errors against other causes of misfit.
 
 Centring errors are selected only if their log evidence exceeds the log evidence of other causes by 30. Displacements of
@@ -139,4 +139,4 @@ hypotheses need the same gain if the noise of all readings is larger than declar
 
 def log_prior_of_kind(kind: str, n_places: int) -> float:
     """Logarithm of the prior probability of a kind of cause at one of `n_places` stations, targets or readings."""
-    return float(np.log(PRIOR_PROBABILITY_BY_KIND[kind] / max(n_places, 1)))
+    return float(np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND[kind] / max(n_places, 1)))

@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -151,7 +151,7 @@ class NetworkFit:
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
         fit = cls(fit_input, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_DECISION_CHANGES))
-        if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
+        if any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
 
@@ -221,7 +221,7 @@ class NetworkFit:
         usable = np.ones((len(recording), 3), dtype=bool) if (mask := fit_input.is_usable_reading) is None else mask
         sigma = recording.sigma()
         for h in hypotheses:
-            if isinstance(h.model_change, NoiseFactor):
+            if isinstance(h.model_change, NoiseFactorChange):
                 sigma = np.where(h.model_change.reading_mask, sigma * h.model_change.start_factor, sigma)
         problem = NetworkProblem.from_model(
             model,
@@ -238,10 +238,11 @@ class NetworkFit:
         fit = self
         for _ in range(MAX_NOISE_ITERATIONS):
             sigma = fit._estimated_sigmas()
-            changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
+            changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.reading_sigmas))))
             if not changed > NOISE_FACTOR_TOLERANCE:
                 break
-            whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
+            whole = replace(fit.problem_with_all_readings, reading_sigmas=sigma)
+            problem = replace(fit.problem, reading_sigmas=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH:
                 problem, solution = snoop_readings(whole, fit.state, MAX_DECISION_CHANGES)
@@ -252,7 +253,7 @@ class NetworkFit:
         """Standard deviations (n, 3) [m, rad, rad] of n pointings: declared ones times estimated noise factors."""
         declared, is_used = self.fit_input.recording.sigma(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
-        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
+        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactorChange)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
     def residuals_of_recording(self, recording: Recording) -> Floats:
@@ -300,9 +301,9 @@ class NetworkFit:
         corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
-        if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
+        if not any(isinstance(h.model_change, NoiseFactorChange) for h in self.hypotheses):
             return corrected_recording
-        sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        sigma = self.problem.reading_sigmas / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
         return corrected_recording.replace(covariates={**corrected_recording.covariates, **columns})
 
@@ -314,9 +315,8 @@ class NetworkFit:
     @cached_property
     def whitened_residuals(self) -> Floats:
         """Residuals (n, 3) of n pointings divided by the standard deviations of readings; 0 for unusable readings."""
-        return np.where(
-            self.problem_with_all_readings.is_used_reading, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
-        )
+        whitened = np.nan_to_num(self.residuals / self.problem.reading_sigmas)
+        return np.where(self.problem_with_all_readings.is_used_reading, whitened, 0.0)
 
     @property
     def redundancy(self) -> Floats:
@@ -351,7 +351,7 @@ class NetworkFit:
             return np.asarray(self.state.station_positions[station] - over[station])
         references = (*reference_values(problem, self.state), *common_scale_reference(problem, self.state))
         same = (v.residual for v in references if (v.kind, v.name) == (value.kind, value.name))
-        return next(same, np.zeros_like(value.sigma))
+        return next(same, np.zeros_like(value.declared_sigmas))
 
     @property
     def is_gross_reading(self) -> Bools:
@@ -382,9 +382,9 @@ class NetworkFit:
             return float(
                 log_occam_factor_of_shift(self.estimate_length_in_sigmas(hypothesis), len(change.effect.parameters))
             )
-        if isinstance(change, NoiseFactor):
+        if isinstance(change, NoiseFactorChange):
             chosen = change.reading_mask & self.problem.is_used_reading
-            ratio = self.problem.sigma[chosen] / self.fit_input.recording.sigma()[chosen]
+            ratio = self.problem.reading_sigmas[chosen] / self.fit_input.recording.sigma()[chosen]
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
@@ -395,6 +395,6 @@ class NetworkFit:
             return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
-            in_sigmas = self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)
-            return float(log_occam_factor_of_shift(float(np.linalg.norm(in_sigmas)), len(value.sigma)))
+            in_sigmas = self.misclosure_of(value) / np.where(value.declared_sigmas > 0, value.declared_sigmas, np.inf)
+            return float(log_occam_factor_of_shift(float(np.linalg.norm(in_sigmas)), len(value.declared_sigmas)))
         return 0.0

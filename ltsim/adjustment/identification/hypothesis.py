@@ -66,7 +66,7 @@ class RowCorrection:
 
 
 @dataclass(frozen=True)
-class NoiseFactor:
+class NoiseFactorChange:
     """Common factor on the declared standard deviations of some readings."""
 
     reading_mask: Bools
@@ -91,7 +91,9 @@ class CentringChange:
     """Stations and targets with centring errors, and the standard deviation of the displacements."""
 
 
-ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange | CentringChange
+ModelChange = (
+    ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactorChange | CoordinateExchange | CentringChange
+)
 """Change of the network's model by a hypothesis."""
 
 
@@ -111,7 +113,7 @@ class CauseHypothesis:
     """Logarithm of the prior odds of this hypothesis relative to no error."""
     model_change: ModelChange
     """Change of the model by the cause."""
-    error_description: str = ""
+    reference_name_or_sentence: str = ""
     """Name of a wrong reference value, or sentence on wrongly recorded pointings; else empty."""
     row_numbers: tuple[int, ...] = ()
     """Row numbers, from 1, of wrongly recorded pointings; empty for other kinds."""

@@ -21,7 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CauseKind,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
@@ -34,7 +34,7 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_alignment_distance
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, largest_alignment_distance
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
@@ -175,7 +175,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         ):  # a step of the azimuth is a rotation of the station
             for place_kind in step_places:
                 yield ShiftFamily(
-                    "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
+                    "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_POINTS_FOR_POSE
                 )
             drift = offset * sightings.elapsed_occupation_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift, drift_interval="occupation")
@@ -199,8 +199,8 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_motion_design(sightings)
-    yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_RIGID_POINTS)
-    yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_RIGID_POINTS)
+    yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
+    yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
 
 
@@ -371,7 +371,7 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> CauseHypothesis:
         prior = log_prior_of_kind("noise-level", n_rivals)
-        return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
+        return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactorChange(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():

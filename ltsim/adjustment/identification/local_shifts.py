@@ -16,7 +16,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
 N_REWEIGHTINGS = 6
 """Number of iterations of reweighted least squares in the fit of a shift."""
-MAX_TRIMMED_FITS = 2
+N_TRIMMED_FITS = 2
 """Number of final least-squares fits, each to the readings that are not outliers of the previous fit."""
 
 
@@ -121,7 +121,7 @@ def _robust_parameters(
             miss = np.abs(residual - _reading_changes(unit_columns, amount))
             scale = np.maximum(1.5 * _row_medians(miss, is_used), 1.0)
             amount = _least_squares(unit_columns, residual, is_used / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))
-    for _ in range(MAX_TRIMMED_FITS):
+    for _ in range(N_TRIMMED_FITS):
         fits = is_used & (0.5 * (residual - _reading_changes(unit_columns, amount)) ** 2 < outlier_cost)
         enough = fits.sum(axis=1) > unit_columns.shape[2]
         amount = np.where(enough[:, None], _least_squares(unit_columns, residual, fits.astype(np.float64)), amount)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactorChange
 from ltsim.adjustment.stochastic_model import noise_declaration_texts
 from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
@@ -17,9 +17,9 @@ NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elev
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
-    assert isinstance(hypothesis.model_change, NoiseFactor)
+    assert isinstance(hypothesis.model_change, NoiseFactorChange)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
-    return float(np.median(fit.problem.sigma[mask] / fit.fit_input.recording.sigma()[mask]))
+    return float(np.median(fit.problem.reading_sigmas[mask] / fit.fit_input.recording.sigma()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
@@ -38,11 +38,11 @@ def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
     It contains the values to declare, for a single instrument and a recording without columns of standard deviations.
     """
-    assert isinstance(hypothesis.model_change, NoiseFactor)
+    assert isinstance(hypothesis.model_change, NoiseFactorChange)
     recording, mask = fit.fit_input.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
         return "declare this noise in the set-up"
-    factors = fit.problem.sigma / recording.sigma()
+    factors = fit.problem.reading_sigmas / recording.sigma()
     settings = [
         setting
         for k, observable in enumerate(OBSERVABLES)

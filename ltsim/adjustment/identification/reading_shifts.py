@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
-from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rigid import pose_jacobian
 from ltsim.physics.effects.linear_effect import (
     LinearEffect,
     Linearisation,
@@ -87,7 +87,9 @@ class ReadingShift(LinearEffect):
         if not self.is_proportional:
             return Linearisation(design @ parameter_values, design)
         scaled = np.where(design != 0.0, parameter_values[0] * sightings.target_derivatives, 0.0)
-        return Linearisation(design @ parameter_values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+        return Linearisation(
+            design @ parameter_values, design, (scaled, pose_jacobian(scaled, sightings.sight_vectors))
+        )
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:

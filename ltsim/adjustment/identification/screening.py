@@ -18,13 +18,13 @@ from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_point
 from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
-    estimate_sigma_factors,
+    estimate_noise_factors_of_groups,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor, ReadingShiftChange
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactorChange, ReadingShiftChange
 from ltsim.adjustment.identification.hypothesis_library import (
     ShiftCandidate,
     noise_hypotheses,
@@ -175,7 +175,8 @@ def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[S
     residual[use], share[use] = space.whitened_residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
     gains = np.empty(len(candidates))
     weighted = {
-        id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in candidates
+        id(c.family): np.where(use[:, :, None], c.family.design / space.reading_sigmas[:, :, None], 0.0)
+        for c in candidates
     }
     for i, c in enumerate(candidates):
         g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
@@ -203,7 +204,7 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
     weighted = {
         id(c.family): np.where(
             fit.problem_with_all_readings.is_used_reading[:, :, None],
-            c.family.design / fit.problem.sigma[:, :, None],
+            c.family.design / fit.problem.reading_sigmas[:, :, None],
             0.0,
         )
         for c in candidates
@@ -250,7 +251,7 @@ def _moved_target_candidates(
     price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
-    sigma = fit.problem.sigma
+    sigma = fit.problem.reading_sigmas
     for i in (i for i in moved_indices if candidates[i].place.targets in suspects):
         parts = candidates[i].earlier_rows, candidates[i].affected_rows
         points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
@@ -309,8 +310,8 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         if aside is None:
             continue
         use = c.affected_rows[fit.problem_with_all_readings.is_used_reading[c.affected_rows, 0]]
-        g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
-        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        g = c.family.design[use, 0, 0] / fit.problem.reading_sigmas[use, 0]
+        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.reading_sigmas[use, 0]
         acts = g != 0.0
         if not acts.any():
             continue
@@ -357,7 +358,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
         tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
     for h in reference_omissions(fit):
-        test = tests.get((h.acts_on, h.error_description))
+        test = tests.get((h.acts_on, h.reference_name_or_sentence))
         if test is not None and test.rank:
             offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
@@ -388,12 +389,12 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
-    factor, gain = estimate_sigma_factors(squares, redundancy)
-    # `estimate_sigma_factors` counts the outliers with the declared noise; their log evidence as outliers replaces it.
+    factor, gain = estimate_noise_factors_of_groups(squares, redundancy)
+    # The gain contains the outliers with the declared noise; their log evidence as outliers replaces this part.
     price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of_kind(
         "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )
     gain = gain + np.append(0.0, np.cumsum(price - 0.5 * residual_sizes**2)) + log_occam_factor_of_variance(redundancy)
     best_index = int(np.argmax(gain))
-    change = NoiseFactor(reading_mask, float(factor[best_index]))
+    change = NoiseFactorChange(reading_mask, float(factor[best_index]))
     return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -16,12 +16,12 @@ from ltsim.adjustment.identification.cause_selection import (
     SelectedHypothesis,
     has_larger_noise_of_all_readings,
 )
-from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
+from ltsim.adjustment.identification.evidence import LOG_PRIOR_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -140,7 +140,7 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
     if len(fit.hypotheses) >= MAX_SELECTED_HYPOTHESES or _is_consistent_as_a_whole(fit):
         return None
     trial_fits = _fit_best_hypotheses(fit)
-    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
+    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_PRIOR_ODDS_OF_CENTRING
     if not trial_fits or trial_fits[0][1].log_evidence < fit.log_evidence + needed:
         return None
     best = _refine_motion_time(trial_fits[0][1])
@@ -202,7 +202,7 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
-    random_errors = NoiseFactor | CentringChange
+    random_errors = NoiseFactorChange | CentringChange
     choices.sort(key=lambda c: (isinstance(c.hypothesis.model_change, random_errors), -c.log_evidence_gain))
     return CauseSelection(fit, tuple(choices))
 
@@ -214,7 +214,7 @@ def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: Netwo
     """
     for n_remaining in range(MAX_CAUSES_COMPARED_WITH_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
-        tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactor))
+        tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactorChange))
         if not tried or tried[0][1].log_evidence < fit.log_evidence + min_gain_needed:
             break
         fit = tried[0][1]
@@ -334,7 +334,7 @@ def _fit_best_hypotheses(
     """
     first, undetermined = 0.0, 0
     tried: list[tuple[CauseHypothesis, NetworkFit]] = []
-    places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
+    places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactorChange)}
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence

@@ -19,7 +19,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, rotation_about_z
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
@@ -210,7 +210,7 @@ def pointing_candidates(
 
     if len(np.unique(recording.face[here])) == 1:
         yield candidate("other face here", order[::-1], 3 - usual_face)
-    yield candidate("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
+    yield candidate("close here", order[:MIN_POINTS_FOR_POSE], count=min(MIN_POINTS_FOR_POSE, len(order)))
     yield candidate("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
@@ -319,7 +319,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
             yield CandidateMeasurement(
-                "survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown
+                "survey", advice_sentence(key, count=MIN_POINTS_FOR_POSE), work + len(made) * step, grown
             )
 
 
@@ -333,7 +333,7 @@ def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, proced
     if procedure == "close":
         return [
             (t, existing[0][1])
-            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_RIGID_POINTS].tolist()
+            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_POINTS_FOR_POSE].tolist()
         ]
     return existing[::-1]
 

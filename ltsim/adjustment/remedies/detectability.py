@@ -48,7 +48,7 @@ def search_noncentrality(dof: int, n_variants: int) -> float:
 
 
 @dataclass(frozen=True)
-class MinimalSize:
+class MinimalDetectableSize:
     """Size of one parameter of an effect that a diagnosis detects with a probability of 80 %."""
 
     effect: str
@@ -90,7 +90,7 @@ class EffectDetectability:
     """Parameters of the effect in each variant (place and shape constants)."""
     variant_texts: tuple[str, ...]
     """Text of the stations, targets and shape constants of each variant."""
-    minimal_sizes: tuple[Floats, ...]
+    minimal_detectable_sizes: tuple[Floats, ...]
     """Minimal detectable size [SI] of each parameter in each variant; infinite if unknowns absorb the effect."""
     visible_fractions: tuple[float, ...]
     """Fraction of the change of the readings (sum of squares) that remains in the residuals, in each variant."""
@@ -99,18 +99,18 @@ class EffectDetectability:
 
     The basis is empty for effects on the noise, and for effects whose parameters the adjustment estimates."""
 
-    def table(self) -> list[MinimalSize]:
+    def table(self) -> list[MinimalDetectableSize]:
         """Detectable sizes of each parameter of the effect, one entry per parameter."""
         table_rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
             visible = float(np.median([self.visible_fractions[k] for k in at]))
             for j, p in enumerate(law):
-                size = np.array([self.minimal_sizes[k][j] for k in at])
+                size = np.array([self.minimal_detectable_sizes[k][j] for k in at])
                 typical = float(np.quantile(size, 0.5, method="higher"))
                 worst = self.variant_texts[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
-                table_rows.append(MinimalSize(*row, visible, worst))
+                table_rows.append(MinimalDetectableSize(*row, visible, worst))
         return table_rows
 
 
@@ -124,8 +124,12 @@ def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[
     for effect in variants:
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
-            upper = effect.variance(residual_space.sightings, problem.sigma, step)
-            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.is_used_reading])
+            upper = effect.variance(residual_space.sightings, problem.reading_sigmas, step)
+            changes.append(
+                ((upper - problem.reading_sigmas**2) / (problem.reading_sigmas**2 * step.sum()))[
+                    problem.is_used_reading
+                ]
+            )
     stack = np.array(changes)
     n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
@@ -168,9 +172,9 @@ def effect_detectability(
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), n_variants) for dof in spent]
-    minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
+    minimal_detectable_sizes = tuple(map(_minimal_sizes, information, noncentralities))
     names, laws = tuple(map(_variant_text, effects)), tuple(effect.parameters for effect in effects)
-    return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
+    return EffectDetectability(effects[0].name, laws, names, minimal_detectable_sizes, visible, columns)
 
 
 def visible_information(
@@ -192,9 +196,9 @@ def visible_information(
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable size (q,) of each of q parameters if it acts alone; infinite without information."""
     diagonal = np.diag(information)
-    minimal_sizes = np.full(len(diagonal), np.inf)
-    minimal_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
-    return minimal_sizes
+    minimal_detectable_sizes = np.full(len(diagonal), np.inf)
+    minimal_detectable_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
+    return minimal_detectable_sizes
 
 
 def _variant_text(effect: Effect) -> str:
@@ -220,8 +224,8 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < SQRT_MACHINE_EPSILON] = 0.0
-    minimal_sizes = _minimal_sizes(information, noncentrality(len(information)))
-    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
+    minimal_detectable_sizes = _minimal_sizes(information, noncentrality(len(information)))
+    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_detectable_sizes,), (1.0,), ())
 
 
 def explained_fraction(first_detectability: EffectDetectability, second_detectability: EffectDetectability) -> float:
@@ -256,7 +260,7 @@ class CatalogueDetectability:
     """Fractions (e, e) of the change of the residuals by effect i that effect j explains, in the order of the e
     `detectable_effects`."""
 
-    def table(self) -> list[MinimalSize]:
+    def table(self) -> list[MinimalDetectableSize]:
         """Detectable sizes of each parameter of every effect, one entry per parameter."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
@@ -293,7 +297,7 @@ def catalogue_detectability(
             reports.append(calibrated_effect_detectability(adjustment, kind()))
             continue
         effect_report = detectability_of_variants(space, kind.candidates(adjustment.sightings))
-        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):
+        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_detectable_sizes):
             silent.append(kind.name)
         if effect_report is not None:
             reports.append(effect_report)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_design
+from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
+from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_jacobian
 from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
@@ -70,7 +70,7 @@ def _linearised_change(
 
 def station_motion_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the readings of n pointings per translation of 1 m and rotation of 1 rad of the station."""
-    return pose_design(sightings.target_derivatives, sightings.sight_vectors)
+    return pose_jacobian(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change_by_target_positions(sightings: Sightings, local_points: Floats) -> Floats:
@@ -78,7 +78,7 @@ def reading_change_by_target_positions(sightings: Sightings, local_points: Float
 
     The points are in the frame of the instrument.
     """
-    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
+    change: Floats = swap_front_and_raw(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
     return change
 

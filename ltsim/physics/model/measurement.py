@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
-from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rigid import pose_jacobian
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -323,7 +323,7 @@ class MeasurementModel:
         if self.extra_effects:
             sightings = self._with_normals_and_readings(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
-        by_pose = pose_design(by_target, sightings.sight_vectors)
+        by_pose = pose_jacobian(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.extra_effects:
             extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import GON, MILLIMETRE
-from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.polar import from_polar, swap_front_and_raw
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
 from ltsim.recordings.formats.gama_network import FIXED_SIGMA_MM
@@ -116,13 +116,13 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] in the frame of the first set-up, by name of each target it measured with all three readings."""
-    points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
+    points = (from_polar(swap_front_and_raw(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in complete_rows}
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
-    front, sigma = to_face(recording.readings, recording.face), recording.sigma()
+    front, sigma = swap_front_and_raw(recording.readings, recording.face), recording.sigma()
     instrument, target_height = (h.tolist() for h in recording.heights())
     is_horizontal = recording.is_horizontal
     for s, station in enumerate(recording.stations):

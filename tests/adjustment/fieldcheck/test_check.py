@@ -14,7 +14,7 @@ from scipy import stats
 import ltsim as lt
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck import Check, check
-from ltsim.adjustment.fieldcheck.check import best_bump
+from ltsim.adjustment.fieldcheck.check import best_fitting_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
 from ltsim.adjustment.fieldcheck.sentences import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
@@ -354,7 +354,7 @@ def test_the_whole_search_is_paid_for() -> None:
     chances = []
     for seed in range(20):
         visit = StationOccupation.from_recording(visits(seed), misalignment_construction())
-        _, gain, gaps = best_bump(visit)
+        _, gain, gaps = best_fitting_bump(visit)
         chances.append(visit.p_value(gain) * gaps)
     assert np.mean(np.array(chances) < 0.1) <= 0.2
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.identification.local_shifts import (
-    MAX_TRIMMED_FITS,
     N_REWEIGHTINGS,
+    N_TRIMMED_FITS,
     LocalShiftProblem,
     fit_local_shifts,
 )
@@ -45,7 +45,7 @@ def single(shift: LocalShiftProblem) -> tuple[float, np.ndarray]:
         for _ in range(N_REWEIGHTINGS):
             miss = np.abs(residual - unit @ amount)
             amount = fitted(1.0 / np.sqrt(np.maximum(miss / max(1.5 * float(np.median(miss)), 1.0), 1.0)))
-    for _ in range(MAX_TRIMMED_FITS):
+    for _ in range(N_TRIMMED_FITS):
         fits = 0.5 * (residual - unit @ amount) ** 2 < PRICE
         amount = fitted(fits * 1.0) if fits.sum() > len(amount) else amount
     cost = [np.minimum(0.5 * e**2, PRICE).sum() for e in (residual, residual - unit @ amount)]
