@@ -121,7 +121,7 @@ class Adjustment(Result):
         try:
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
-            message = "the pointings do not determine all poses and targets; measure more targets from several stations"
+            message = "the pointings do not determine all poses and targets; let stations share more targets"
             if not recording.is_measured[:, 1:].any():
                 message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None

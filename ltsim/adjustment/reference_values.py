@@ -1,4 +1,4 @@
-"""Reference values in an adjustment: declared value, misclosure, and effect of an error of the value on residuals."""
+"""Reference values (known points, lengths, levels) in an adjustment: misclosures and effects of errors on residuals."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,20 +14,25 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-"""Kind of reference value."""
+"""Kind of a reference value.
+
+`point` known coordinates, `difference` known coordinate difference, `length` known length, `level` levelled station,
+`yaw` known direction of azimuth zero, `mark` set-up over a mark, `axes` declared coordinates that only define the axes,
+`scale` common scale of all known lengths.
+"""
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
-"""Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
+"""Smallest standard deviation of a reference value during its test, divided by the median of the readings' ones."""
 STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""Updates of a station's entries in the set-up that remove a reference value, by kind of reference value."""
+"""Changes of a station's entries in the set-up that remove a reference value, by kind of reference value."""
 
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Reference value with q components: point, difference, length, level, yaw, scale, or position over a mark."""
+    """Reference value with q components, for example a known point with three or a length with one."""
 
     kind: ReferenceKind
     """Kind of the reference value."""
@@ -38,9 +43,9 @@ class ReferenceValue:
     declared_sigmas: Floats
     """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
     residual: Floats
-    """Declared minus adjusted value of each of q components, (q,) [m, rad or 1]."""
+    """Misclosures (q,) [m, rad or 1] of the q components: declared minus adjusted values."""
     occupied_by: str = field(default="", kw_only=True)
-    """Name of the set-up over the known point, if the point is not measured as a target; else empty."""
+    """Name of the set-up over a known point that is not measured as a target; empty for other reference values."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,7 @@ class ReferenceValueRows(ReferenceValue):
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Reference values of a problem at a state, in the order of their equations, then the set-ups over marks."""
+    """Reference values of an adjustment at a state, in the order of their equations, then set-ups over marks."""
     recording, first, gauge = problem.model.recording, int(problem.is_used_reading.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
@@ -105,9 +110,9 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
 
 
 def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Common scale of all reference lengths as a reference value; empty for a single length.
+    """Common scale of all reference lengths as a reference value; empty for fewer than two lengths.
 
-    A wrong temperature of the lengths, or an error of their calibration, changes all lengths in proportion.
+    A wrong temperature or calibration of the lengths changes all of them in proportion.
     """
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
@@ -120,7 +125,7 @@ def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iter
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Declarations that a set-up is exactly over its mark, as reference values.
 
-    A declaration can be tested only if the mark is also a target or lies under another set-up.
+    They can be tested only if the mark is measured as a target or lies under another set-up.
     """
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target_indices >= 0) | (
@@ -140,7 +145,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
 
 
 def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Recording:
-    """Recording from whose set-up one reference value is removed."""
+    """Recording from whose set-up the reference value `reference_value` is removed."""
     setup, name = recording.setup, reference_value.name
     if reference_value.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
@@ -166,7 +171,7 @@ REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2
 
 
 def without_reference_coordinates(recording: Recording) -> Recording:
-    """Recording whose set-up contains no reference coordinates."""
+    """Recording whose set-up contains no known coordinates of targets."""
     targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
@@ -181,7 +186,7 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
 
 
 def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
+    """Problem in which exact reference values get a small standard deviation, because a test is impossible without."""
     if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_

@@ -163,7 +163,7 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
     levelled = deficient_names[0] in problem.level_rows.station_indices
     phrase = "two targets that are not above one another" if levelled else "three targets that are not on one line"
     name = recording.stations[deficient_names[0]]
-    return f"station {name} measured fewer than {phrase}: its pose is undetermined; measure more targets from it"
+    return f"station {name} measures fewer than {phrase}: its pose is undetermined; measure more targets from it"
 
 
 # --- gross errors before the adjustment ---------------------------------------------------------------------------

@@ -232,13 +232,13 @@ def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustm
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.adjust(recording)
     assert found.verdict is not None
-    assert "moves during its measurement" not in found.verdict.sentence
+    assert "moves during its occupation" not in found.verdict.sentence
     rows = recording.station == 2
     share = (recording.time[rows] - recording.time[rows].min()) / np.ptp(recording.time[rows])
     readings, sunk = recording.readings.copy(), from_polar(recording.readings[rows])
     readings[rows] = to_polar(sunk + share[:, None] * [0.0, 0.0, 2e-3])
     moved = lt.adjust(recording.with_readings(readings))
     assert moved.verdict is not None
-    size = re.match(r"Station S3 moves during its measurement, by (\S+) \+- 5", moved.verdict.sentence)
+    size = re.match(r"Station S3 moves during its occupation, by (\S+) \+- 5", moved.verdict.sentence)
     assert size is not None
     assert float(size[1]) == pytest.approx(2000.0, abs=25.0)  # errors of the instrument among them

@@ -1,10 +1,10 @@
-"""Usual sizes of distance offsets: differences of the radii of common SMRs, and additive constants of common prisms."""
+"""Nominal sizes of distance offsets: differences of the radii of common SMRs, and additive constants of prisms."""
 
 from collections.abc import Mapping
 from typing import TypeVar
 
 NominalEntryT = TypeVar("NominalEntryT")
-"""Type of the entry of a nominal size: the name of a constant, or the diameters of two SMRs."""
+"""Type of a dictionary value for a nominal size: the name of a prism constant, or the diameters of two SMRs."""
 SMR_DIAMETERS_BY_RADIUS_DIFFERENCE = {
     12.7e-3: ("0.5 inch", "1.5 inch"),
     7.94e-3: ("7/8 inch", "1.5 inch"),
@@ -14,13 +14,13 @@ SMR_DIAMETERS_BY_RADIUS_DIFFERENCE = {
 PRISM_CONSTANT_NAMES = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
 """Names of the additive constants of common prisms, by their size [m]."""
 MAX_DIFFERENCE_FROM_NOMINAL_SIZE = 60e-6
-"""Largest difference [m] of an offset from a nominal size that a sentence names as its cause. The standard deviation of
-the offset must also be below this limit.
+"""Largest difference [m] between an estimated offset and the nominal size that a sentence names as its cause. The
+standard deviation of the offset must also be below this limit.
 """
 
 
 def offset_cause_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of a distance offset; empty if no nominal size fits.
+    """Text on the usual cause of a distance offset, such as another SMR or a prism constant; empty if none fits.
 
     `value` [m] is the estimated offset, `sigma` [m] its standard deviation.
     """
@@ -32,7 +32,7 @@ def offset_cause_text(value: float, sigma: float) -> str:
 
 
 def smr_exchange_text(value: float, sigma: float) -> str:
-    """Text of two SMRs of which one was used in place of the other; empty if no pair of common SMRs fits.
+    """Text that one SMR was used in place of another; empty if no pair of common SMRs fits the displacement.
 
     `value` [m] is the estimated displacement of the SMR centre, positive away from the nest, `sigma` [m] its standard
     deviation.

@@ -176,7 +176,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     found = lt.adjust(recording, robust=True)
     assert found.outliers == ()
     assert found.verdict is not None
-    moved_by = re.match(r"Station S1 moves during its measurement, by ([\d.]+) \+- ", found.verdict.sentence)
+    moved_by = re.match(r"Station S1 moves during its occupation, by ([\d.]+) \+- ", found.verdict.sentence)
     assert moved_by is not None
     assert float(moved_by[1]) == pytest.approx(2000.0, rel=0.05)
 
