@@ -82,7 +82,7 @@ def noise_found(rounds: int = 4) -> Noise:
 def clean(pairs: TwoFacePairs, recording: Recording) -> Bools:
     """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
     gone = {d[:2] for d in snooped(recording)[1]}
-    rows = pairs.rows[:, 0]
+    rows = pairs.pointing_indices[:, 0]
     return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
                      for i in rows], dtype=bool)  # fmt: skip
 

@@ -15,7 +15,7 @@ from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.calibration.correct import corrected_readings
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import beam_left_up_vectors, components_across_beam, from_polar, polar_jacobian, to_polar
+from ltsim.geometry.polar import beam_frame_axes, components_across_beam, from_polar, polar_jacobian, to_polar
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotionEffect, TargetDisplacementEffect
 from ltsim.recordings.specification import Specification
@@ -216,7 +216,7 @@ class TestedNetwork:
         instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (targets, 3)
         [m].
         """
-        _, across, up = beam_left_up_vectors(*to_polar(points).T[1:])
+        _, across, up = beam_frame_axes(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
         changes = [self._mean_point_derivatives_by_effects(targets, rows) for rows in rows_by_face]
         extra_design = np.einsum("tci,tiq->tcq", directions, changes[0] - changes[1])

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.datum import InnerConstraintDatum
 from ltsim.adjustment.frame import are_collinear
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
@@ -82,7 +82,7 @@ class Adjustment(Result):
     """Sentences on identified errors that the model contains and that explain the misfit."""
     noise_sentences: tuple[str, ...] = ()
     """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
-    datum: InnerDatum | None = None
+    datum: InnerConstraintDatum | None = None
     """Datum of the covariances by inner constraints; None if the pose of the first station or constraints define it."""
 
     def _lines(self) -> list[str]:
@@ -395,5 +395,5 @@ class Adjustment(Result):
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         datum_names = every if datum_names is None else datum_names
-        datum = InnerDatum.from_points(self.problem, self.state, self.factorised_normals, datum_names)
+        datum = InnerConstraintDatum.from_points(self.problem, self.state, self.factorised_normals, datum_names)
         return replace(self, datum=datum)

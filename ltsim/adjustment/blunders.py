@@ -44,7 +44,7 @@ class IdentifiedBlunder:
 
     effect_name: str
     """Name of the catalogue effect that represents the blunder: target-swap, wrong-unit, face-confusion or outlier."""
-    rows: Ints
+    pointing_indices: Ints
     """Indices (k,) of the k pointings with the blunder."""
     stations: tuple[str, ...]
     """Names of the stations of the pointings; empty for a centring error of a mark."""
@@ -71,7 +71,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrec
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
     for finding, read, target_read in blunders:
-        readings[finding.rows], target[finding.rows] = read, target_read
+        readings[finding.pointing_indices], target[finding.pointing_indices] = read, target_read
     return recording.replace(readings=readings, target=target)
 
 
@@ -81,7 +81,7 @@ def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
             corrections.append(mend)
-            remaining[mend[0].rows] = False
+            remaining[mend[0].pointing_indices] = False
     return corrections
 
 

@@ -38,7 +38,7 @@ class MarkOccupation:
     """Equipment on the mark: `instrument` or `target`."""
     day: str
     """Day of the occupation, as text."""
-    shift_sign: Floats
+    shift_signs: Floats
     """Signs (n,) with which a shift of the equipment acts on n pointings: +1 for pointings to the target, -1 for
     pointings from the instrument, 0 for pointings of other occupations."""
 
@@ -138,7 +138,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
     height_sigma = max((heads.sigma for heads in model.height_errors), default=0.0)
     axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {
-        i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])
+        i: whole.whiten(axis_derivatives * occupation.shift_signs[:, None, None])
         for i, occupation in enumerate(candidates)
     }
     occupations: list[int] = []
@@ -192,12 +192,12 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
         centring_errors.descriptions,
         strict=True,
     ):
-        readings = readings - occupation.shift_sign[:, None] * (by_target[:, :, : len(value)] @ value)
+        readings = readings - occupation.shift_signs[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"Centring error (tripod not re-occupied at the same point): {named}."
         findings.append(
             IdentifiedBlunder(
                 CENTRING_EFFECT_NAME,
-                np.flatnonzero(occupation.shift_sign),
+                np.flatnonzero(occupation.shift_signs),
                 (),
                 (occupation.mark,),
                 (),

@@ -107,7 +107,7 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
 
 
 @dataclass(frozen=True)
-class InnerDatum:
+class InnerConstraintDatum:
     """S-transformation of covariances to a datum by inner constraints.
 
     The columns of G (u, f) are the free motions of u unknowns, B contains the rows of G of the datum points and zeros
@@ -135,7 +135,7 @@ class InnerDatum:
     @classmethod
     def from_columns(
         cls, free_motions: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]
-    ) -> InnerDatum:
+    ) -> InnerConstraintDatum:
         """Datum in which the unknowns with the indices `columns` fix the motions that no observation determines.
 
         `free_motions` (u, f) contains the changes of all u unknowns by the f free motions. `multiply_covariance`
@@ -154,7 +154,7 @@ class InnerDatum:
     @classmethod
     def from_points(
         cls, problem: NetworkProblem, state: NetworkState, normal_equations: FactorisedNormals, names: Sequence[str]
-    ) -> InnerDatum | None:
+    ) -> InnerConstraintDatum | None:
         """Datum defined by the points `names` of a network; None if the observations determine all rigid motions.
 
         Raises ModelError if these points do not fix the motions that no observation determines.
@@ -164,7 +164,7 @@ class InnerDatum:
         tied, unknowns = DatumPoints.from_names(problem, state, names), problem.unknowns
         centre = tied.points.mean(axis=0)
         free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement_function(problem)
-        turn = np.hstack([free[3:], np.zeros((3, len(problem.undetermined_unknowns.scale_target)))])
+        turn = np.hstack([free[3:], np.zeros((3, len(problem.undetermined_unknowns.scale_defining_target)))])
         motion = np.zeros((unknowns.n_columns, turn.shape[1]))
         motion[unknowns.pose_columns[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose_columns), 1))
         for columns, places in (
@@ -197,7 +197,9 @@ def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], 
     without elevations do not change.
     """
     axes = np.array([1.0, 1.0, float(problem.is_used_reading[:, 2].any())])
-    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.undetermined_unknowns.scale_target)))
+    return lambda arm: np.tile(
+        (arm * axes).reshape(-1, 1), (1, len(problem.undetermined_unknowns.scale_defining_target))
+    )
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:

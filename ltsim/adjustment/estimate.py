@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.axes_point_tests import exclude_contradicting_axes_points
-from ltsim.adjustment.datum import InnerDatum, move_to_datum, selected_datum_names
+from ltsim.adjustment.datum import InnerConstraintDatum, move_to_datum, selected_datum_names
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_EFFECT_PRIOR_FACTOR, NetworkProblem
 from ltsim.adjustment.reference_snooping import snoop_references
@@ -311,5 +311,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if turned > SQRT_MACHINE_EPSILON:  # the factorisation belongs to the frame before the rotation
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
-    datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
+    datum = (
+        None if solution.factor is None else InnerConstraintDatum.from_points(problem, state, solution.factor, names)
+    )
     return replace(adjustment, solution=solution, datum=datum)

@@ -12,7 +12,7 @@ from ltsim.geometry.polar import polar_jacobian, swap_front_and_raw, to_polar, w
 from ltsim.physics.model.measurement import reduce_to_horizontal, sight_vector_offsets
 from ltsim.recordings.recording import Recording
 
-MAX_POINTINGS_IN_FIT = 12
+MAX_POINTINGS_PER_FIT = 12
 """Largest number of pointings in the fit of a pose or point; of more pointings, evenly spaced ones are selected."""
 SIGMA_OF_APPROXIMATE_FITS = 1e-4
 """Standard deviation of all readings in fits of approximate coordinates: as a fraction of a range, in rad for
@@ -62,10 +62,12 @@ class FitReadings:
         )
 
     def select_evenly(self) -> tuple[Ints, FitReadings]:
-        """Indices of at most `MAX_POINTINGS_IN_FIT` pointings, evenly spaced in the list, and their readings."""
+        """Indices of at most `MAX_POINTINGS_PER_FIT` pointings, evenly spaced in the list, and their readings."""
         k = len(self.readings)
         thinned_rows = (
-            np.arange(k) if k <= MAX_POINTINGS_IN_FIT else np.linspace(0, k - 1, MAX_POINTINGS_IN_FIT).astype(np.int64)
+            np.arange(k)
+            if k <= MAX_POINTINGS_PER_FIT
+            else np.linspace(0, k - 1, MAX_POINTINGS_PER_FIT).astype(np.int64)
         )
         return thinned_rows, self.select_rows(thinned_rows)
 

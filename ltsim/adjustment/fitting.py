@@ -24,15 +24,15 @@ MAX_DISTANCE_OF_EQUAL_SOLUTIONS = 1e-3
 points, plus norm of the difference of the rotation matrices."""
 MIN_UNIQUE_SOLUTION_RATIO = 4.0
 """Smallest ratio of the sum of squares of the second-best to the best solution at which a pose or point is unique."""
-MAX_RMS_MISFIT_SIGMAS = 300.0
+MAX_RMS_RESIDUAL_SIGMAS = 300.0
 """Largest rms residual of a usable solution for a pose or point, in standard deviations of the readings."""
 N_ITERATED_STARTS = 150
 """Number of start values of a pose or point that are iterated: those with the smallest sums of squared residuals."""
 MAX_START_POINTS = 400
 """Largest number of start values in the fit of a point, limited because of the computing time."""
-EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
+START_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
-START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
+START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), START_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
 """Smallest number of targets of a network of ranges alone: `multilaterate` needs nine differences to one target."""
@@ -112,7 +112,7 @@ def _unique_solution(
     `solutions` of b fits are sums of squares (b,) in ascending order, positions (b, 3) [m], rotations (b, 3, 3).
     """
     cost, x, rotation = solutions
-    if not cost[0] < MAX_RMS_MISFIT_SIGMAS**2 * n_readings:
+    if not cost[0] < MAX_RMS_RESIDUAL_SIGMAS**2 * n_readings:
         return None
     distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(points - x[0]).max())
     other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_DISTANCE_OF_EQUAL_SOLUTIONS]
@@ -168,14 +168,14 @@ def _candidate_positions(points: Floats) -> Floats:
     """Start positions (19, 3) [m] for the fit of a station, between and around its measured points (k, 3) [m]."""
     centre = points.mean(axis=0)
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
+    circle = radius * np.stack([np.cos(START_AZIMUTHS), np.sin(START_AZIMUTHS), np.zeros(len(START_AZIMUTHS))], axis=1)
     axis_points = np.outer([-radius, radius], [0.0, 0.0, 1.0])
     return np.concatenate([[centre], centre + 0.4 * circle, centre + 1.5 * circle, centre + axis_points])
 
 
 def _candidate_rotations(is_levelled: bool) -> Floats:
     """Start rotations for the fit of a station: eight yaws (8, 3, 3), times six tilts (48, 3, 3) if not levelled."""
-    yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
+    yaws = np.stack([rotation_about_z(a) for a in START_AZIMUTHS])
     if is_levelled:
         return yaws
     euler_quarters = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])

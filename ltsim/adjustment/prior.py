@@ -16,7 +16,7 @@ CORRECTED_INSTRUMENT_SIGMA_FRACTION = 0.3
 standard deviation of its specification; for parameters without a declared prior. The value is a compromise: after an
 ordinary calibration the ratio is 0.1 (a beam tilt of 10 urad is determined to about 1 urad); in real halls parameters
 of corrected instruments scatter by half of the specification and more."""
-WIDENED_SIGMA_FACTOR = 100.0
+WIDENED_PRIOR_SIGMA_FACTOR = 100.0
 """Factor by which the prior standard deviation of a parameter is multiplied if the readings contradict the prior."""
 
 
@@ -41,11 +41,11 @@ class ParameterPrior:
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
     def with_widened_sigmas(self, widened_mask: Bools) -> ParameterPrior:
-        """Prior with standard deviations multiplied by `WIDENED_SIGMA_FACTOR` for the parameters that a mask flags.
+        """Prior whose standard deviations are multiplied by `WIDENED_PRIOR_SIGMA_FACTOR` for some parameters.
 
-        `widened_mask` (I, p) has one flag for each of p parameters of each of I instruments.
+        `widened_mask` (I, p) flags them among the p parameters of each of I instruments.
         """
-        factor = np.where(widened_mask, WIDENED_SIGMA_FACTOR, 1.0)
+        factor = np.where(widened_mask, WIDENED_PRIOR_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 
     @property

@@ -160,15 +160,17 @@ def reference_tests(
         return []
     residual, tests = problem.whitened_residuals(solution.x), []
     declared = reference_values(problem, solution.x)
-    values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
+    values = [v for v in declared if float(np.linalg.norm(residual[v.equation_indices])) >= min_residual]
     values += common_scale_reference(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
-        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
+        inside = np.hstack(
+            [to_dense(solution.system.design[value.equation_indices]).T @ value.design_columns for value in batch]
+        )
         response, first = solution.factor.multiply_by_covariance(inside), 0
         for value in batch:
             columns = slice(first, first := first + value.design_columns.shape[1])
             gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]
-            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.rows]))
+            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.equation_indices]))
     return tests
 
 

@@ -52,11 +52,11 @@ class ReferenceValue:
 class ReferenceValueRows(ReferenceValue):
     """Reference value with its equations in an adjustment."""
 
-    rows: Ints
+    equation_indices: Ints
     """Indices (r,) of the r equations whose residuals an error of the reference value changes."""
     design_columns: Floats
-    """Derivatives (r, q) of the whitened residuals of the r equations `rows` with respect to errors of the q
-    components."""
+    """Derivatives (r, q) of the whitened residuals of the r equations `equation_indices` with respect to errors of the
+    q components."""
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:

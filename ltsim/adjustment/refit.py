@@ -25,7 +25,7 @@ SHAPE_CHANGE_TOLERANCE = 1e-5
 """Relative change of a shape parameter (such as a period) for numerical derivatives, and the change below which its
 iteration ends. The readings are linear over this change, even if a range contains a thousand periods of a range error.
 """
-MAX_HALVINGS = 4
+MAX_STEP_HALVINGS = 4
 """Largest number of halvings of a step of the shape parameters that increases chi-square."""
 MIN_SHAPE_INFLUENCE = 1e-3
 """Smallest influence of a shape parameter that is estimated: largest change of a reading per relative change of the
@@ -223,9 +223,9 @@ def _damped_step(
     """Effects with changed shape parameters, and the adjustment with these effects; None if chi-square increases.
 
     `changes` are the relative changes of all shape parameters, in the order of the `linearised_shapes`. They are
-    halved, at most `MAX_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
+    halved, at most `MAX_STEP_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
     """
-    for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
+    for share in 0.5 ** np.arange(1 + MAX_STEP_HALVINGS):
         moved = _effects_with_changed_shapes(effects, linearised_shapes, share * changes)
         tried = adjust_function(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + NORMAL_EQUATIONS_TOLERANCE):

@@ -22,7 +22,7 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import FactorisedNormals
 from ltsim.solve.gauss_newton import Solution
 
-MAX_SIGMA0_DECLARED_NOISE = 1.25
+MAX_SIGMA0_FOR_DECLARED_NOISE = 1.25
 """Largest robust estimate of sigma0 at which residuals are tested with the declared instead of the estimated noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of the scatter at a target to the scatter at the other targets, above which the target counts as noisy."""
@@ -57,7 +57,7 @@ def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats
     that a reading that is consistent with the declared noise is no outlier.
     """
     scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
-    return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
+    return scale if scale > MAX_SIGMA0_FOR_DECLARED_NOISE else 1.0
 
 
 def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:

@@ -38,14 +38,14 @@ from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solu
 MIN_COPIED_ROWS = 10
 """Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must be equal
 too, because two pointings may be equal by chance."""
-MAX_REWEIGHTINGS = 8
+MAX_REWEIGHTINGS_BEFORE_SNOOPING = 8
 """Largest number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
 """Largest number of solutions in data snooping until the set of rejected readings is stable. Readings that still
 alternate between rejected and used remain rejected."""
-MAX_INTERMEDIATE_STEPS = 10
+MAX_STEPS_PER_SNOOPING_PASS = 10
 """Largest number of Gauss-Newton steps of each solution in data snooping; the last solution has no such limit."""
-MAX_PREDICTION_SIGMA = 100.0
+MAX_SIGMA_OF_PREDICTED_READING = 100.0
 """Standard deviation of a prediction of a rejected reading by the used readings, in standard deviations of the reading.
 Above it the used readings hardly determine the target or set-up, and all readings of this target or set-up are
 rejected."""
@@ -252,7 +252,7 @@ def snoop_readings(
     """
     limit = critical_normalised_residual(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(
-        problem, state, int(problem.is_used_reading.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
+        problem, state, int(problem.is_used_reading.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS_BEFORE_SNOOPING
     )
     try:
         rejected = _is_newly_rejected(problem, state, limit)
@@ -264,7 +264,7 @@ def snoop_readings(
         reduced_problem = drop_undetermined_targets(
             replace(problem, is_used_reading=problem.is_used_reading & ~rejected), state
         )
-        solution = solve(reduced_problem, state, max_iterations=MAX_INTERMEDIATE_STEPS)
+        solution = solve(reduced_problem, state, max_iterations=MAX_STEPS_PER_SNOOPING_PASS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # too many readings are rejected: the others do not determine the network
             if not rejected.any():
@@ -383,7 +383,7 @@ def _is_rejected_in_repeated_test(
         )
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _absolute_residuals_of_prediction(problem, readings)[out] / spread > limit * scale
-        unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
+        unpredicted = np.argwhere(out)[spread > MAX_SIGMA_OF_PREDICTED_READING, 0]
         is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]
         ]  # the used readings of such a set-up do not determine its pose

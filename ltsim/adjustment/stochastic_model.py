@@ -34,7 +34,7 @@ MAX_FRACTION_BEYOND_NOISE = 0.02
 """Largest fraction of residuals above `MIN_SIGMAS_BEYOND_NOISE` declared standard deviations that single errors
 explain. If the fraction is larger, Cauchy's weights are tried too.
 """
-MAX_ROBUST_STEPS = 25
+MAX_STEPS_OF_ROBUST_FIT = 25
 """Largest number of steps of a robust fit with all observations reweighted. With more steps many large errors of one
 target distort the network: with 60 steps, a target that was displaced at random at every set-up was identified as three
 motions."""
@@ -72,7 +72,7 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
     The method is that of `iterate_reweighted`; `state` is the start state.
     """
     return iterate_reweighted(
-        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS
+        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_STEPS_OF_ROBUST_FIT
     )
 
 

@@ -162,7 +162,7 @@ class UndeterminedUnknowns:
     """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""
     n_coordinates_of_unmeasured_targets: int
     """Number of known coordinates of unmeasured targets; they do not count as observations."""
-    scale_target: Ints
+    scale_defining_target: Ints
     """Index (1,) of a target whose distance from the first station with azimuths is fixed, because only approximate
     coordinates define the scale of a network of directions alone; empty otherwise."""
     fixes_heights: bool
@@ -220,7 +220,9 @@ class UndeterminedUnknowns:
             is_unmeasured_target=~is_read,
             is_height_undetermined_target=height_free[: len(n_rows)],
             yaw_determined_stations=np.flatnonzero(azimuth),
-            scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
+            scale_defining_target=_scale_defining_target(network)
+            if _has_approximate_scale(network)
+            else np.zeros(0, dtype=np.int64),
             fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
         )
 
@@ -240,7 +242,7 @@ class UndeterminedUnknowns:
             unknowns.pose_columns[self.yaw_undetermined_stations, 3:],
             np.repeat(unknowns.pose_columns[self.tilt_undetermined_stations, 3:], 2, axis=0),
         ]
-        column_groups.append(unknowns.target_columns[self.scale_target])
+        column_groups.append(unknowns.target_columns[self.scale_defining_target])
         return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixing_coefficients(self, state: NetworkState) -> Floats:
@@ -248,8 +250,8 @@ class UndeterminedUnknowns:
         yaw = state.station_rotations[self.yaw_undetermined_stations] @ VERTICAL
         tilt = np.swapaxes(state.station_rotations[self.tilt_undetermined_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
-            state.target_points[self.scale_target]
-            - state.station_positions[self.yaw_determined_stations[: len(self.scale_target)]]
+            state.target_points[self.scale_defining_target]
+            - state.station_positions[self.yaw_determined_stations[: len(self.scale_defining_target)]]
         )
         directions = arm / np.linalg.norm(arm, axis=1, keepdims=True)
         unit_vectors = np.zeros((self.n_fixing_equations - len(yaw) - len(tilt) - len(directions), 3))
@@ -276,7 +278,7 @@ class UndeterminedUnknowns:
         n_tilts = (
             len(self.yaw_undetermined_stations)
             + 2 * len(self.tilt_undetermined_stations)
-            + len(self.scale_target)
+            + len(self.scale_defining_target)
             + len(self.height_undetermined_stations)
             + 3 * len(self.stations_without_readings)
         )
@@ -318,7 +320,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     return sum(target.datum and target.approximate_mm is not None for target in targets) > 1
 
 
-def _scale_target(network: NetworkRows) -> Ints:
+def _scale_defining_target(network: NetworkRows) -> Ints:
     """Index (1,) of the first target in the azimuths of the first station with azimuths; empty without azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.is_used_reading[:, 1])
     first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]

@@ -290,7 +290,11 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.datum_source
-        axes = "the axes and the scale" if len(adjustment.problem.undetermined_unknowns.scale_target) else "the axes"
+        axes = (
+            "the axes and the scale"
+            if len(adjustment.problem.undetermined_unknowns.scale_defining_target)
+            else "the axes"
+        )
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.agrees_with_floor_plan(state.station_positions, state.station_rotations):
         return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {station}"

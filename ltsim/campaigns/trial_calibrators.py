@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.datum import InnerConstraintDatum
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
@@ -328,7 +328,7 @@ class BatchCalibrator(TrialCalibrator):
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.true_network.state.target_points
-        datum = InnerDatum.from_columns(
+        datum = InnerConstraintDatum.from_columns(
             rigid_motion_jacobian(points, points.mean(axis=0)), columns, covariance.__matmul__
         )
         blocks = datum.transform_covariance(covariance[columns[:, :, None], columns[:, None, :]], columns)

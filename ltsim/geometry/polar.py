@@ -44,7 +44,7 @@ def swap_front_and_raw(polar_coordinates: Floats, face: Ints) -> Floats:
     return raw
 
 
-def beam_left_up_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Floats]:
+def beam_frame_axes(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Floats]:
     """Unit vectors along n beams (outwards), to the left and upwards across them, each (n, 3), from angles in face 1.
 
     `azimuth` and `elevation` (n,) are in rad.
@@ -63,7 +63,7 @@ def components_across_beam(vectors: Floats, points: Floats) -> Floats:
     The beams go from the origin of the instrument frame to `points` (n, 3) [m].
     """
     _, azimuth, elevation = to_polar(points).T
-    _, across, up = beam_left_up_vectors(azimuth, elevation)
+    _, across, up = beam_frame_axes(azimuth, elevation)
     return stack_columns(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
@@ -77,7 +77,7 @@ def polar_jacobian(polar_coordinates: Floats, face: Ints) -> Floats:
     raw elevation is 180 deg minus the elevation, so that its row has the opposite sign.
     """
     range_, azimuth, elevation = polar_coordinates.T
-    beam, across, up = beam_left_up_vectors(azimuth, elevation)
+    beam, across, up = beam_frame_axes(azimuth, elevation)
     sign = np.where(face == 2, -1.0, 1.0)
     across = across / (range_ * np.cos(elevation))[:, None]
     up = up * (sign / range_)[:, None]

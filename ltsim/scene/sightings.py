@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_derivatives
-from ltsim.geometry.polar import beam_left_up_vectors, polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
+from ltsim.geometry.polar import beam_frame_axes, polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
 """Smallest rotation [rad] of an axis between two pointings for which the axis counts as moved."""
@@ -153,7 +153,7 @@ class Sightings:
         """
         turn = self.station_rotations[self.station]
         beam, across, upward_part = (
-            np.einsum("nij,nj->ni", turn, v) for v in beam_left_up_vectors(self.azimuth, self.elevation)
+            np.einsum("nij,nj->ni", turn, v) for v in beam_frame_axes(self.azimuth, self.elevation)
         )
         return beam, across, upward_part
 

@@ -3,7 +3,7 @@
 Fixed tolerances decide which unknowns are undetermined. The failure of a Cholesky factorisation is no criterion,
 because rounding errors of its pivots grow with the number of unknowns in an undetermined combination. If a pivot is
 small, the weakest direction is computed: the unit vector v of unknowns for which the norm of A v is smallest, where A
-is the design matrix. The unknowns along v are undetermined if the squared norm is at most `RANK_TOLERANCE`.
+is the design matrix. The unknowns along v are undetermined if the squared norm is at most `DESIGN_RANK_TOLERANCE`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -119,8 +119,8 @@ def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
 
 MIN_RELIABLE_PIVOT = 1e-8
 """Smallest pivot of a normal matrix with unit diagonal that is certainly no rounding error. Below it, the combination
-of unknowns that changes the observations least is tested separately (`RANK_TOLERANCE`)."""
-RANK_TOLERANCE = 1e-14
+of unknowns that changes the observations least is tested separately (`DESIGN_RANK_TOLERANCE`)."""
+DESIGN_RANK_TOLERANCE = 1e-14
 """Largest squared norm of A v at which the combination v of unknowns counts as undetermined, where A is the design
 matrix with columns of unit norm and v a unit vector.
 

@@ -26,8 +26,8 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.chain import BlockChainFactor, inverse_from_cholesky
 from ltsim.solve.design import (
+    DESIGN_RANK_TOLERANCE,
     MIN_RELIABLE_PIVOT,
-    RANK_TOLERANCE,
     DesignMatrix,
     gram_matrix,
     inverse_column_norms,
@@ -297,7 +297,7 @@ class BlockSystem:
 
 
 class SingularSystemError(NetworkError):
-    """Error for a least-squares system that leaves a combination of unknowns undetermined (`RANK_TOLERANCE`)."""
+    """Error for a least-squares system that leaves a combination of unknowns undetermined (`DESIGN_RANK_TOLERANCE`)."""
 
 
 class FactorisedNormals:
@@ -326,7 +326,7 @@ class FactorisedNormals:
         self._column_scales = self._elimination.column_scales
         if (
             self._elimination.smallest_pivot < MIN_RELIABLE_PIVOT
-            and damping + self._weakest_direction_squared_length() <= RANK_TOLERANCE
+            and damping + self._weakest_direction_squared_length() <= DESIGN_RANK_TOLERANCE
         ):
             raise SingularSystemError(UNDETERMINED_MESSAGE)
 

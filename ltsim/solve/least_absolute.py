@@ -23,7 +23,7 @@ RELATIVE_DATA_PERTURBATION = 1e-6
 vertex may have more zero residuals than there are unknowns, and the descent could cycle there."""
 MAX_DESCENT_EDGES = 2000
 """Largest number of edges of one descent from vertex to vertex; after them the solver raises NetworkError."""
-ROUNDING_TOLERANCE = 1e-9
+ZERO_SLOPE_TOLERANCE = 1e-9
 """Largest relative slope of the sum of absolute residuals along an edge that counts as zero (rounding error). If no
 edge has a larger slope, the vertex is optimal."""
 
@@ -73,7 +73,7 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
         multipliers = (np.sign(residual) @ design) @ inverse
         leaving_index = int(np.argmax(np.abs(multipliers)))
         slope = abs(float(multipliers[leaving_index])) - 1.0
-        if slope <= ROUNDING_TOLERANCE:
+        if slope <= ZERO_SLOPE_TOLERANCE:
             return vertex_rows
         edge_rates = design @ (np.sign(multipliers[leaving_index]) * inverse[:, leaving_index])
         edge_rates[vertex_rows] = 0.0

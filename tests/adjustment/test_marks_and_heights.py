@@ -82,7 +82,7 @@ def test_a_height_that_was_not_stated_is_told_with_its_size(height: float) -> No
     readings[30] = to_polar(raised)[0]
     found = adjust(recording.with_readings(readings))
     ((told, mended, _),) = detect_blunders(found)
-    assert told.rows.tolist() == [30]
+    assert told.pointing_indices.tolist() == [30]
     assert told.displacement == pytest.approx(abs(height), abs=0.05e-3)
     assert f"{1e3 * abs(height):.0f}." in told.sentence
     np.testing.assert_allclose(mended[0], recording.readings[30], atol=2e-5)

@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import (
-    beam_left_up_vectors,
+    beam_frame_axes,
     from_polar,
     polar_jacobian,
     swap_front_and_raw,
@@ -58,7 +58,7 @@ def test_wrap_keeps_the_direction(angle: float) -> None:
 @given(many)
 def test_beam_left_up_are_a_right_handed_frame(rows: list[tuple[float, float, float, int]]) -> None:
     polar, _ = split(rows)
-    beam, left, up = beam_left_up_vectors(polar[:, 1], polar[:, 2])
+    beam, left, up = beam_frame_axes(polar[:, 1], polar[:, 2])
     np.testing.assert_allclose(beam * polar[:, :1], from_polar(polar), atol=1e-12)
     np.testing.assert_allclose(np.cross(beam, left), up, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(left, axis=1), 1.0, atol=1e-14)

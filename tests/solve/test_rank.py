@@ -8,9 +8,9 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
 from ltsim.solve.design import (
+    DESIGN_RANK_TOLERANCE,
     MIN_RELIABLE_PIVOT,
     NORMAL_RANK_TOLERANCE,
-    RANK_TOLERANCE,
     DesignMatrix,
     cholesky_where_determined,
     scale_to_unit_diagonal,
@@ -27,7 +27,12 @@ def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
     return np.hstack([basis[:, :-1], last[:, None] / np.linalg.norm(last)])
 
 
-CASES = ((100 * RANK_TOLERANCE, True), (3 * RANK_TOLERANCE, True), (RANK_TOLERANCE / 3, False), (0.0, False))
+CASES = (
+    (100 * DESIGN_RANK_TOLERANCE, True),
+    (3 * DESIGN_RANK_TOLERANCE, True),
+    (DESIGN_RANK_TOLERANCE / 3, False),
+    (0.0, False),
+)
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
@@ -49,7 +54,14 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
 
 def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:
     images = np.array(
-        [1.0, 100 * NORMAL_RANK_TOLERANCE, 3 * NORMAL_RANK_TOLERANCE, NORMAL_RANK_TOLERANCE / 3, RANK_TOLERANCE, 0.0]
+        [
+            1.0,
+            100 * NORMAL_RANK_TOLERANCE,
+            3 * NORMAL_RANK_TOLERANCE,
+            NORMAL_RANK_TOLERANCE / 3,
+            DESIGN_RANK_TOLERANCE,
+            0.0,
+        ]
     )
     designs = [nearly_dependent(40, image) for image in images]
     normal = np.stack([d.T @ d for d in designs])

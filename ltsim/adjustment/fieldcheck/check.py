@@ -17,7 +17,7 @@ from ltsim.adjustment.blunders import apply_corrections, detect_blunders
 from ltsim.adjustment.fieldcheck.network import (
     adjust_for_check,
     n_network_tests,
-    network_items,
+    network_check_items,
     with_increased_noise_at_noisy_targets,
 )
 from ltsim.adjustment.fieldcheck.occupation import AddedColumnsFit, StationOccupation, TwoFaceDifferences
@@ -63,7 +63,7 @@ N_TESTS_PER_SETUP = 6
 """Number of tests of one set-up: two faces, gross errors, bump, station drift, instrument drift, scatter."""
 
 
-SentenceWriter = Callable[[Recording, AddedColumnsFit, bool], str]
+DriftSentenceFunction = Callable[[Recording, AddedColumnsFit, bool], str]
 """Function that returns the sentence on a drift test, from the recording of a set-up, the fit of the drift, and a flag,
 True if the test passed."""
 
@@ -129,7 +129,7 @@ def check(
                 _test_setup(recording_to_test, recording_to_test, full_recording, s, family, mpe) for s in all_indices
             )
         shared = BonferroniFamily(level, 2 * n_network_tests(full_recording))
-        network_tests = network_items(
+        network_tests = network_check_items(
             noise_scaled_recording,
             adjustment_or_error,
             shared,
@@ -182,7 +182,7 @@ def _test_setup(
         estimated_noise_text(recording, recording_with_declared_noise.select(indices)),
     )
     occupation = StationOccupation.from_recording(recording, construction)
-    setup_tests = SetupTests((), occupation, (), recording)
+    setup_tests = GrossAndMotionTests((), occupation, (), recording)
     if occupation.dof > 0:
         setup_tests = _gross_and_motion_tests(occupation, construction, test_family, row_numbers)
     two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected_recording.readings
@@ -217,7 +217,7 @@ def _test_setup(
 
 
 @dataclass(frozen=True)
-class SetupTests:
+class GrossAndMotionTests:
     """Results of the tests of one set-up for gross errors, motions of the station and drifts of the instrument."""
 
     items: tuple[CheckItem, ...]
@@ -232,7 +232,7 @@ class SetupTests:
 
 def _gross_and_motion_tests(
     occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily, row_numbers: Ints
-) -> SetupTests:
+) -> GrossAndMotionTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
     `row_numbers` (n,) are the rows of the n pointings of the set-up in the whole recording, from 1.
@@ -257,7 +257,7 @@ def _gross_and_motion_tests(
     if designs:
         together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
-    return SetupTests(tuple(check_items), remaining, tuple(motions), recording)
+    return GrossAndMotionTests(tuple(check_items), remaining, tuple(motions), recording)
 
 
 def _gross_pointings_and_bump(
@@ -381,7 +381,7 @@ def _drift_item(
     test_family: BonferroniFamily,
     kind: CheckItemKind,
     design: Floats,
-    write_sentence: SentenceWriter,
+    write_sentence: DriftSentenceFunction,
 ) -> CheckItem:
     """Test result for a drift of a station or instrument during its occupation.
 

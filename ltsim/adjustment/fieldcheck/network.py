@@ -103,7 +103,7 @@ def with_increased_noise_at_noisy_targets(
     )
 
 
-def network_items(
+def network_check_items(
     recording: Recording,
     adjustment_or_error: Adjustment | LtsimError,
     test_family: BonferroniFamily,
@@ -146,10 +146,15 @@ def network_items(
         stations = ", ".join(motion.stations)
         check_items.append(
             CheckItem.from_test(
-                stations, "mistake", False, motion.sentence, targets=motion.targets, rows=tuple(motion.rows + 1)
+                stations,
+                "mistake",
+                False,
+                motion.sentence,
+                targets=motion.targets,
+                rows=tuple(motion.pointing_indices + 1),
             )
         )
-        is_explained[motion.rows] = True
+        is_explained[motion.pointing_indices] = True
     centring_errors = estimate_centring_errors(adjustment_or_error)
     if centring_errors is not None:
         marks = tuple(dict.fromkeys(motion.mark for motion in centring_errors.occupations))

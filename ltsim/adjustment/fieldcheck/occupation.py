@@ -307,7 +307,7 @@ class TwoFaceDifferences:
         pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
-        noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
+        noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.pointing_indices] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]
         change = [
             two_face_pairs(recording, construction, np.diag(prior)[k]).half_differences - pairs.half_differences
@@ -328,7 +328,7 @@ class TwoFaceDifferences:
 class TwoFacePairs:
     """Pairs of pointings from one station to one target, one pointing in each face; m in number."""
 
-    rows: Ints
+    pointing_indices: Ints
     """Indices (m, 2) in the recording of the pointings in face 1 and face 2 of m pairs."""
     mean_front_face_readings: Floats
     """Mean range, azimuth and elevation of both faces of m pairs, converted to face 1, (m, 3) [m, rad, rad]."""
@@ -338,7 +338,7 @@ class TwoFacePairs:
     """
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.pointing_indices)
 
     @property
     def rms_half_differences(self) -> Floats:
@@ -351,10 +351,10 @@ class TwoFacePairs:
         return np.median(np.abs(self.half_differences), axis=0)
 
     def select(self, is_selected: Bools) -> Self:
-        """Those of the m pairs that `is_selected` (m,) flags."""
+        """Subset of the m pairs: those that `is_selected` (m,) flags."""
         return replace(
             self,
-            rows=self.rows[is_selected],
+            pointing_indices=self.pointing_indices[is_selected],
             mean_front_face_readings=self.mean_front_face_readings[is_selected],
             half_differences=self.half_differences[is_selected],
         )

@@ -1,6 +1,6 @@
 """Next actions that are recommended to the user after a field check."""
 
-from ltsim.adjustment.fieldcheck.result import Check, CheckItem, item_from_cause
+from ltsim.adjustment.fieldcheck.result import Check, CheckItem, check_item_from_cause
 from ltsim.adjustment.identification.recommendations import (
     RECOMMENDATION_BY_CAUSE_KIND,
     recommendations_for_causes,
@@ -27,7 +27,7 @@ names after the word "at".
 def recommendations_after_check(check: Check) -> list[str]:
     """Sentences on next actions: first after identified causes, then after other failed tests, without repetitions."""
     actions = recommendations_for_causes(check.tests)
-    causes = [item_from_cause(test) for test in check.tests]
+    causes = [check_item_from_cause(test) for test in check.tests]
     failed_items = [item for item in check.items if not item.passed and item not in causes]
     for kinds, action in RECOMMENDATION_BY_FAILED_TESTS.items():
         items = [item for item in failed_items if _recommendation_kind(item) in kinds]

@@ -82,7 +82,7 @@ class CheckItem(Entry):
         return cls(station=station, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
-ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
+CHECK_ITEM_KIND_BY_CAUSE_KIND: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
@@ -96,10 +96,10 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
 kinds."""
 
 
-def item_from_cause(test: CauseTest) -> CheckItem:
+def check_item_from_cause(test: CauseTest) -> CheckItem:
     """Test result of a field check for an identified cause: failed, except for noise smaller than declared."""
     stations, targets = ", ".join(test.where.stations), test.where.targets
-    kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
+    kind: CheckItemKind = "level" if test.acts_on == "level" else CHECK_ITEM_KIND_BY_CAUSE_KIND.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
     return CheckItem.from_test(
         stations, kind, not test.is_fault, sentence, test.p_value, targets=targets, rows=test.rows
@@ -178,15 +178,15 @@ class Check(ResultFile):
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network_check_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
         """Result of a field check, with test results in this order: identified causes, blunders, set-ups, network.
 
         `tests` are the tests of identified causes, `alpha` is the false-alarm probability of the whole check.
         """
-        causes = tuple(map(item_from_cause, tests))
-        mistakes = (item for item in network_items if item.kind == "mistake")
-        other_network_items = (item for item in network_items if item.kind != "mistake")
+        causes = tuple(map(check_item_from_cause, tests))
+        mistakes = (item for item in network_check_items if item.kind == "mistake")
+        other_network_items = (item for item in network_check_items if item.kind != "mistake")
         items = (
             *causes,
             *mistakes,
@@ -227,7 +227,10 @@ class Check(ResultFile):
                 2 * [MICROMETRE, ARCSECOND, ARCSECOND]
             )
             for at, size, over in zip(
-                setup.row_numbers[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
+                setup.row_numbers[faces.uncorrected_pairs.pointing_indices],
+                sizes.tolist(),
+                faces.exceeds_limit,
+                strict=True,
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])

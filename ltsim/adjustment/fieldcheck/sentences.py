@@ -65,7 +65,7 @@ def two_face_sentence(
             "(range, across the beam, elevation)"
         )
         return sentence, (), np.zeros(0, dtype=np.int64)
-    targets = [recording.targets[t] for t in recording.target[pairs.rows[:, 0]]]
+    targets = [recording.targets[t] for t in recording.target[pairs.pointing_indices[:, 0]]]
     ratio = np.abs(pairs.half_differences) / differences.half_difference_limits
     k, column = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
     unit, factor = ("um", MICROMETRE) if column == 0 else ("arcsec", ARCSECOND)
@@ -77,7 +77,7 @@ def two_face_sentence(
         f"{number_text(pairs.half_differences[k, column] / factor)} {unit}, "
         f"the limit {number_text(differences.half_difference_limits[k, column] / factor)} {unit}"
     )
-    return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.rows[k]
+    return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.pointing_indices[k]
 
 
 def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequence[int], row_numbers: Ints) -> str:

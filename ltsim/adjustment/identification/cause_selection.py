@@ -49,7 +49,7 @@ SYSTEMATIC_CAUSE_KINDS = (
     "centring",
 )
 """Kinds of causes that change all readings of an observable, of a set-up, or from one set-up to one target."""
-MAX_REFERENCE_MISCLOSURE = 0.1
+MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
 """Misclosure [m] of a reference value, above which the value is excluded before an adjustment, because the adjustment
 may not converge with it."""
 
@@ -115,7 +115,7 @@ class CauseSelection:
 
     @property
     def _certain_hypotheses(self) -> list[CauseHypothesis]:
-        """Those selected hypotheses that are certain."""
+        """Selected hypotheses that are certain: large gain of log evidence, or a badly seated reflector."""
         return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
@@ -135,7 +135,7 @@ class CauseSelection:
         shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
         reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
         large_reference_errors = [
-            h for h in reference_errors if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE
+            h for h in reference_errors if largest_displacement(self.fit, h) > MAX_MISCLOSURE_OF_USED_REFERENCE
         ]
         exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in certain)
         gross = (
@@ -215,7 +215,7 @@ def adjust_with_causes(
     construction : GeometricErrorModel
         Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of CauseHypothesis
-        Those hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any of
+        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any of
         the others.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.

@@ -201,9 +201,9 @@ def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
             f"by {size_text} along each axis: "
             f"the reflectors were not centred, or readings from {station} have errors that repeat in all rounds."
         )
-    text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
+    text = with_sigma(abs(common.length) / MILLIMETRE, common.length_sigma / MILLIMETRE, "mm")
     direction_text = "away from" if common.length > 0 else "towards"
-    cause = smr_exchange_text(common.length, common.sigma) or "another SMR or adaptor"
+    cause = smr_exchange_text(common.length, common.length_sigma) or "another SMR or adaptor"
     return (
         f"At {station} the centres of the SMRs are all displaced by {text}, {direction_text} their nests: {cause}. "
         "Declare the normals of the nests (nest_normal), so that the displacement is estimated along these normals."

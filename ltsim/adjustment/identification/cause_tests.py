@@ -124,7 +124,7 @@ def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedH
         rank = len(fit.estimate_and_covariance(h)[0])
         size_entries = {"estimate": h.model_change.centring_uncertainty.sigma_mm, "unit": "mm"}
         if (common := fit.common_displacement_length(h)) is not None:
-            size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
+            size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.length_sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)

@@ -189,7 +189,7 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
     return places
 
 
-class CentringEstimate(NamedTuple):
+class CentringSigmaEstimate(NamedTuple):
     """Restricted maximum likelihood estimate of the standard deviation of centring errors."""
 
     log_evidence_gain: float
@@ -202,7 +202,7 @@ class CentringEstimate(NamedTuple):
     """
 
 
-def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringEstimate:
+def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringSigmaEstimate:
     """Restricted maximum likelihood estimate of the standard deviation of centring errors.
 
     `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
@@ -217,4 +217,4 @@ def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints)
     best = int(np.argmax(ratio))
     determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
     gain = float(ratio[best] + log_occam_factor_of_variance(determined))
-    return CentringEstimate(gain, float(CENTRING_SIGMA_GRID[best]), determined)
+    return CentringSigmaEstimate(gain, float(CENTRING_SIGMA_GRID[best]), determined)

@@ -36,7 +36,7 @@ class CommonDisplacementLength(NamedTuple):
 
     length: float
     """Length [m], positive away from the nests. A nest is assumed to be behind its target as seen from the set-up."""
-    sigma: float
+    length_sigma: float
     """Standard deviation of the length [m]."""
     log_evidence_gain: float
     """Gain of log evidence against displacements of random lengths, at least 0."""

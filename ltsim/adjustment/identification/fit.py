@@ -110,7 +110,8 @@ class NetworkFit:
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_SIGMAS_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
+        large = [v for v in references if float(np.abs(residual[v.equation_indices]).max()) > limit]
+        return large, len(references), state
 
     @classmethod
     def from_start(
@@ -356,10 +357,8 @@ class NetworkFit:
     @property
     def is_gross_reading(self) -> Bools:
         """Flags (n, 3) of n pointings, True for readings whose residual is a displacement above `MAX_TRACKER_ERROR`."""
-        return (
-            np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
-            > MAX_TRACKER_ERROR
-        )
+        displacements = np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
+        return displacements > MAX_TRACKER_ERROR
 
     @cached_property
     def outlier_log_evidence(self) -> float:

@@ -55,7 +55,7 @@ class ReferenceOmission:
 class RowCorrection:
     """Change of the model by the correction of k wrongly recorded pointings (wrong name, unit or face)."""
 
-    rows: Ints
+    pointing_indices: Ints
     """Indices (k,) in the recording of the k pointings to correct."""
     readings: Floats
     """Corrected readings (k, 3) [m, rad, rad] of the k pointings."""

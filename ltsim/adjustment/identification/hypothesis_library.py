@@ -65,7 +65,7 @@ class ShiftPlace:
     """Names of the stations; empty for all."""
     targets: tuple[str, ...]
     """Names of the targets; empty for all."""
-    rows: Ints
+    pointing_indices: Ints
     """Indices of the pointings of these stations and targets, in the order of measurement."""
 
 
@@ -251,7 +251,7 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):
         for place in places[family.place_kind]:
-            rows = place.rows
+            rows = place.pointing_indices
             for since in family.candidate_onset_times(sightings, rows):
                 late = sightings.time[rows] >= since
                 shifts.append((family, place, since, rows[late], rows[~late]))
@@ -297,8 +297,8 @@ def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
         kind = CAUSE_KIND_BY_BLUNDER[mistake.effect_name]
-        change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
-        rows = tuple((mistake.rows + 1).tolist())
+        change = RowCorrection(mistake.pointing_indices, readings, target, fit.recording.face[mistake.pointing_indices])
+        rows = tuple((mistake.pointing_indices + 1).tolist())
         prior = log_prior_of_kind(kind, places)
         hypotheses.append(
             CauseHypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
@@ -315,7 +315,7 @@ def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
     faced, faces = correct_faces(converted)
     hypotheses = []
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
-        rows = mistake.rows
+        rows = mistake.pointing_indices
         change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of_kind("unit", len(recording.stations))
         hypotheses.append(CauseHypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))

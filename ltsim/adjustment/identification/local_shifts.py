@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
-N_REWEIGHTINGS = 6
+N_REWEIGHTINGS_OF_SHIFT_FIT = 6
 """Number of iterations of reweighted least squares in the local fit of a shift of readings."""
 N_TRIMMED_FITS = 2
 """Number of final least-squares fits of a shift, each to the readings that are no outliers of the previous fit."""
@@ -118,7 +118,7 @@ def _robust_parameters(
         amount = _row_medians(residual / np.where(column != 0.0, column, 1.0), is_outlier)[:, None]
     else:
         amount = _least_squares(unit_columns, residual, is_outlier.astype(np.float64))
-        for _ in range(N_REWEIGHTINGS):
+        for _ in range(N_REWEIGHTINGS_OF_SHIFT_FIT):
             miss = np.abs(residual - _reading_changes(unit_columns, amount))
             scale = np.maximum(1.5 * _row_medians(miss, is_used), 1.0)
             amount = _least_squares(unit_columns, residual, is_used / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))

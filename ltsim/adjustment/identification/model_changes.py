@@ -69,7 +69,7 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[C
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.model_change, RowCorrection):
-            rows = h.model_change.rows
+            rows = h.model_change.pointing_indices
             readings[rows], target[rows], face[rows] = (
                 h.model_change.readings,
                 h.model_change.target_indices,

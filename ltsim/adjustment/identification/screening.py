@@ -50,7 +50,7 @@ a trial fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
 """Largest number of hypotheses that one step of the selection fits; also the limit for failed fits and for trial
 fits."""
-MIN_LENGTHS_FOR_SCALE = 2
+MIN_SCALE_TEST_LENGTHS = 2
 """Smallest number of reference lengths for a test of their common scale error."""
 ScreenedHypothesis = tuple[float, CauseHypothesis]
 """Tuple of the approximate gain of log evidence by a hypothesis, and the hypothesis."""
@@ -65,7 +65,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
     if non_robust_fit is not None:
         spaces.append((ResidualSpace.from_adjustment(non_robust_fit[0]), non_robust_fit[1]))
     for space, behind in spaces:
-        gains = np.maximum(gains, _exact_log_evidence_gains(space, every) + behind)
+        gains = np.maximum(gains, _projected_log_evidence_gains(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
     if fit.is_outlier.any():
         local, guesses = _local_shift_gains_and_starts(fit, every)
@@ -124,7 +124,7 @@ def _best_onset_per_place(
     return best
 
 
-def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidate shifts, by projection of their design onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
@@ -367,7 +367,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
     """Hypothesis that reference lengths and distances differ in scale, with its gain; empty for too few lengths."""
     scale = GaugeScale()
-    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
+    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_SCALE_TEST_LENGTHS:
         return []
     drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)

@@ -51,7 +51,7 @@ REPEATED_SETUP_BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Proposed rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups of a recording, from which on no additional station is evaluated, to limit the computing time."""
-MIN_PROPOSED_DISTANCE = 0.8
+MIN_PROPOSED_SPACING = 0.8
 """Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0
 """Assumed length [m] of a reference bar that a workshop can have calibrated."""
@@ -228,7 +228,7 @@ def pointing_candidates(
     distances = np.linalg.norm(
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
-    unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # the mark under the tripod cannot be measured
+    unseen = unseen[distances > MIN_PROPOSED_SPACING]  # the mark under the tripod cannot be measured
     if visibility_function is not None:
         places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
         plan = FloorPlanTransform.from_recording(recording, network.state)
@@ -279,7 +279,7 @@ def station_candidates(
     if visibility_function is not None:
         is_visible = is_visible & visibility_function(*map(plan.positions_on_plan, (places, state.target_points)))
     for position, sights in zip(places, is_visible, strict=True):
-        if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
+        if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_SPACING:
             continue
         for turn in range(N_CANDIDATE_YAWS):
             rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_CANDIDATE_YAWS)

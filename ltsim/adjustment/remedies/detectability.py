@@ -172,7 +172,7 @@ def effect_detectability(
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), n_variants) for dof in spent]
-    minimal_detectable_sizes = tuple(map(_minimal_sizes, information, noncentralities))
+    minimal_detectable_sizes = tuple(map(_minimal_detectable_sizes, information, noncentralities))
     names, laws = tuple(map(_variant_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, minimal_detectable_sizes, visible, columns)
 
@@ -193,7 +193,7 @@ def visible_information(
     return gram_matrices * visible_norms[..., :, None] * visible_norms[..., None, :], np.mean(share, axis=-1), rank
 
 
-def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
+def _minimal_detectable_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable sizes (q,) of q parameters, each acting alone, from their information matrix (q, q).
 
     A size is infinite if there is no information. `noncentrality` is that of detection.
@@ -227,7 +227,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < SQRT_MACHINE_EPSILON] = 0.0
-    minimal_detectable_sizes = _minimal_sizes(information, noncentrality(len(information)))
+    minimal_detectable_sizes = _minimal_detectable_sizes(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_detectable_sizes,), (1.0,), ())
 
 

@@ -42,7 +42,7 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
 """Smallest expected difference of chi-square at which two possible causes count as distinguished."""
-N_EVALUATED_STATIONS = 24
+N_EVALUATED_CANDIDATE_STATIONS = 24
 """Number of candidate stations for which the evidence between possible causes is computed: the stations that give most
 information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
@@ -57,7 +57,7 @@ def no_progress(*_arguments: object) -> None:
 
 
 @dataclass(frozen=True)
-class Explanation:
+class PossibleCause:
     """Possible cause of a misfit: an effect in its best-fitting variant (stations, targets, shape parameters)."""
 
     effect: Effect
@@ -71,7 +71,7 @@ def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffe
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
-def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
+def best_explanation(residual_space: ResidualSpace, name: str) -> PossibleCause:
     """Best-fitting variant (stations, targets, shape parameters) of the effect `name` in a recording, with its size.
 
     Raises ModelError for an unknown effect, for an effect on the noise, and if the effect does not change residuals.
@@ -79,12 +79,12 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} changes the noise; only effects that shift readings can be distinguished here")
-    best_so_far: Explanation | None = None
+    best_so_far: PossibleCause | None = None
     least = float(residual_space.whitened_residuals @ residual_space.whitened_residuals)
     for effect in kind.candidates(residual_space.sightings):
         values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.whitened_residuals)
         if sum_of_squares < least:
-            least, best_so_far = sum_of_squares, Explanation(effect, values)
+            least, best_so_far = sum_of_squares, PossibleCause(effect, values)
     if best_so_far is None:
         raise ModelError(
             f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
@@ -105,12 +105,12 @@ def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, resi
 
 
 @dataclass(frozen=True)
-class RivalExplanations:
+class RivalCauses:
     """Two possible causes of a misfit, with the variants (stations, targets, shape) in which one imitates the other."""
 
-    first_explanation: Explanation
+    first_explanation: PossibleCause
     """First possible cause."""
-    second_explanation: Explanation
+    second_explanation: PossibleCause
     """Second possible cause."""
     rival_variants: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
     """Variants of the second cause, each preceded by the chi-square of the first cause that it leaves unexplained.
@@ -121,8 +121,8 @@ class RivalExplanations:
 
     @classmethod
     def from_explanations(
-        cls, residual_space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
-    ) -> RivalExplanations:
+        cls, residual_space: ResidualSpace, first_explanation: PossibleCause, second_explanation: PossibleCause
+    ) -> RivalCauses:
         """Pair of two possible causes, compared in the residual space of the present recording."""
         return cls(
             first_explanation,
@@ -160,7 +160,7 @@ class RivalExplanations:
 
 
 def _variants_with_unexplained_part(
-    residual_space: ResidualSpace, true_explanation: Explanation, rival: Effect
+    residual_space: ResidualSpace, true_explanation: PossibleCause, rival: Effect
 ) -> list[tuple[float, Effect]]:
     """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it leaves unexplained.
 
@@ -325,7 +325,7 @@ def rank_next_measurements(
 
 def rank_deciding_measurements(
     adjustment: Adjustment,
-    explanations: Sequence[Explanation],
+    explanations: Sequence[PossibleCause],
     extra_effects: Sequence[LinearEffect] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
@@ -342,7 +342,7 @@ def rank_deciding_measurements(
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
     space = residual_space_of(planned_adjustment, extra_effects)
-    rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
+    rivals = {other.effect.name: RivalCauses.from_explanations(space, first, other) for other in others}
     decided_names = [name for name, pair in rivals.items() if pair.present_chi2_difference >= MIN_DECISIVE_CHI2]
     if len(decided_names) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
@@ -351,7 +351,7 @@ def rank_deciding_measurements(
     repeat_remedies = sorted(repeated_setup_candidates(network, seconds_per_move), key=_effort_rank)
     lengths = calibrated_length_candidates(network, suspects)
     costly_remedies = sorted([*procedure_candidates(network), *lengths], key=_effort_rank)
-    n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_STATIONS + len(costly_remedies)
+    n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_CANDIDATE_STATIONS + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
     stations = _most_informative_stations(network, seconds_per_move, visibility_function)
     every = chain(nearby_candidates, repeat_remedies, stations, costly_remedies)
@@ -394,5 +394,5 @@ def _most_informative_stations(
     """Candidate stations that give most information on the instrument, the station with the shortest duration first."""
     remedies = station_candidates(network, seconds_per_move, visibility_function)
     proposals = _proposals_for(remedies, network.make_adjustment())
-    best_proposals = sorted(proposals, key=lambda p: p.remaining_sigma_fraction)[:N_EVALUATED_STATIONS]
+    best_proposals = sorted(proposals, key=lambda p: p.remaining_sigma_fraction)[:N_EVALUATED_CANDIDATE_STATIONS]
     yield from sorted((p.candidate for p in best_proposals), key=_effort_rank)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.identification.local_shifts import (
-    N_REWEIGHTINGS,
+    N_REWEIGHTINGS_OF_SHIFT_FIT,
     N_TRIMMED_FITS,
     LocalShiftProblem,
     fit_local_shifts,
@@ -42,7 +42,7 @@ def single(shift: LocalShiftProblem) -> tuple[float, np.ndarray]:
         amount = np.array([np.median(residual[shift.is_outlier] / unit[shift.is_outlier, 0])])
     else:
         amount = fitted(shift.is_outlier * 1.0)
-        for _ in range(N_REWEIGHTINGS):
+        for _ in range(N_REWEIGHTINGS_OF_SHIFT_FIT):
             miss = np.abs(residual - unit @ amount)
             amount = fitted(1.0 / np.sqrt(np.maximum(miss / max(1.5 * float(np.median(miss)), 1.0), 1.0)))
     for _ in range(N_TRIMMED_FITS):
