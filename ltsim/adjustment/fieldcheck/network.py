@@ -123,7 +123,7 @@ def network_check_items(
     try:
         construction = declared_construction(recording)
     except NetworkError as problem:
-        return (CheckItem.from_test("", "network", True, f"the stations were not compared: {problem}"),)
+        return (CheckItem.from_test("", "network", True, f"the stations are not compared: {problem}"),)
     try:
         if isinstance(adjustment_or_error, LtsimError):
             raise adjustment_or_error

@@ -345,7 +345,7 @@ def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
 
 def test_nothing_repeated_is_said() -> None:
     recording = visits(9)
-    with pytest.raises(NetworkError, match="measure some targets on both faces, or the first ones again"):
+    with pytest.raises(NetworkError, match="measure some targets in both faces, or the first targets again"):
         check(recording.select(recording.face == 1))
 
 
