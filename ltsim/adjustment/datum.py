@@ -127,8 +127,9 @@ class InnerConstraintDatum:
     covariance of the unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
     elsewhere."""
     motion_covariance: Floats
-    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B as for
-    `motion_cross_covariance`."""
+    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions. C (u, u) is the
+    covariance of the u unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
+    elsewhere."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 

@@ -48,7 +48,7 @@ class LinearisedShapeParameter(LinearEffect):
     """Shape parameter that changes, such as a period or time constant."""
 
     name = "shape"
-    """Name of the linearised change."""
+    """Name of the linearised effect of a changed shape parameter."""
     parameters = (Parameter("relative-change", "", "relative change of a shape parameter", 1.0),)
     """Parameter of the linearised change: relative change of the shape parameter."""
 

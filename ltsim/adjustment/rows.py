@@ -195,7 +195,7 @@ class DifferenceRows(ControlRows):
 
     @classmethod
     def from_marks(cls, recording: Recording, marks: StationMarks) -> DifferenceRows:
-        """Equations of those differences of a recording both ends of which are measured or known."""
+        """Equations of those known differences of a recording whose two ends are measured or known."""
         places, count = mark_indices(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
         differences = tuple(

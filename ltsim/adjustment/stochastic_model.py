@@ -269,7 +269,7 @@ def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, 
 def _sums_by_group(
     problem: NetworkProblem, solution: Solution[NetworkState], group_indices: Ints, n_groups: int
 ) -> tuple[Floats, Floats]:
-    """Weighted sums of squared residuals (g,), sums of redundancy numbers (g,) of g groups; the last are the levels."""
+    """Weighted sums of squared residuals (g,), and of redundancy numbers (g,), of g groups; the last is the levels."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.whitened_residuals(solution.x)

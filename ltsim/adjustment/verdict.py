@@ -33,7 +33,7 @@ class VerdictCase(Enum):
     UNCHECKED = "nothing to test"
     """Network without redundancy."""
     IN_DOUBT = "in doubt"
-    """Passed tests of an adjustment with warnings on its network."""
+    """Adjustment that passed its tests, but with warnings on its network."""
 
 
 @dataclass(frozen=True)

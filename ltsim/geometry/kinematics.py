@@ -234,23 +234,23 @@ STEERING_MIRROR_CHAIN: KinematicChain = (
     RotationStep(1, "beam-tilt-y", amount_factor=-1.0),
     TranslationStep(2, "range", MotionAmountFromReading(0)),
 )
-"""Kinematic chain of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the beam's rate.
+"""Kinematic chain of a tracker with a fixed laser and a beam-steering mirror, which turns half as far as the beam.
 
-The beam leaves the base upward along the standing axis and meets a plane mirror that turns with the head about the
-transit axis. With V the zenith angle of the target the mirror's normal points V/2 below the horizon, and the
-target is the image of a point straight up the beam:
+The beam leaves the base upwards along the standing axis. The plane mirror turns with the head about the standing axis,
+and about the transit axis. For a target at zenith angle V the normal of the mirror points V/2 below the horizon. The
+target, at p, is the mirror image of the point at the measured range on the undeflected beam:
 
     p = T F T^-1 C' B (0, 0, range),   F = diag(-1, 1, 1)
     T = Rz(azimuth) Dx(e) Rx(i) Ry(V/2) Dx(f) Rz(c)               base to mirror, its normal along x
-    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          the cover plate's offset, which turns with the head
+    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          offset by the cover plate, which turns with the head
     B = Dx(O_x) Dy(O_y) Rx(I_x) Ry(I_y)                           the beam in the base
 
-with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt, O_x and O_y the offset and I_x
-and I_y the tilts of the beam in the base. Rx, Ry and Rz are turns about, Dx and Dy shifts along the axes. A reflection
-F before a turn or a shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as
-it is: so F moves through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns
-about y and z and shifts along x change their sign. The result is a chain of turns and shifts like any other, in which
-each motion of the mirror occurs twice.
+Here e is the transit offset, i the transit tilt, f the mirror offset and c the mirror tilt. O_x and O_y are the offset
+of the beam in the base, I_x and I_y its tilts. Rx, Ry and Rz are rotations about the axes, Dx and Dy translations along
+them. The reflection F is eliminated, because it can exchange its place with a rotation or translation: rotations about
+y and z and translations along x then change their sign, all others stay. At the end of the chain, F leaves the origin,
+where the target is, unchanged. The result is a chain of rotations and translations, in which each motion of the mirror
+occurs twice.
 
 Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
 Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,

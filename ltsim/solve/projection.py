@@ -171,7 +171,10 @@ class FactorResidualProjector:
         return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Spectra of submatrices of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
+        """Non-zero eigenvalues (k,), eigenvectors (f, k) of submatrices (f, f) of the hat matrix, for groups of rows.
+
+        A group has the f row indices of one entry of `row_groups`. The other f - k eigenvalues are zero.
+        """
         n_rows = [len(rows) for rows in row_groups]
         if not any(n_rows) or max(n_rows) > self.design.shape[1] // 2:
             yield from (self._spectrum_from_covariance(rows) for rows in row_groups)

@@ -159,7 +159,7 @@ class CauseSelection:
 
     @property
     def certain_target_motions(self) -> tuple[TargetMoved, ...]:
-        """Motions of targets by certain hypotheses."""
+        """Motions of targets that the model contains, because the hypotheses on them are certain."""
         return tuple(effect for effect in self._certain_effects if isinstance(effect, TargetMoved))
 
     @property

@@ -53,7 +53,7 @@ class _CentringPlace:
     """Stations and targets where centring errors are tested: one set-up, one target, or all set-ups."""
 
     centring_uncertainty: CentringUncertainty
-    """Stations and targets with centring errors."""
+    """Declaration of the centring errors, with their stations and targets and a provisional standard deviation."""
     occupation_indices: Ints
     """Index (n,) of the occupation to which each of n pointings belongs; -1 for pointings that are not tested."""
 

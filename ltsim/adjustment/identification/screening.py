@@ -365,7 +365,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
 
 
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
-    """Hypothesis that reference lengths and distances differ in scale, with its gain; empty for too few lengths."""
+    """Hypothesis of different scales of reference lengths and distances, with its gain of log evidence, if possible."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_SCALE_TEST_LENGTHS:
         return []

@@ -46,8 +46,8 @@ MAX_SELECTED_HYPOTHESES = 8
 MAX_CAUSES_COMPARED_WITH_CENTRING = 3
 """Largest number of other causes that together are compared with centring errors, by log evidence."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
-"""Smallest number of pointings of a network in which no causes are searched if it passes the global test (saves 5 s of
-processor time).
+"""Smallest number of pointings of a large network. If a large network passes the global test, no causes are searched,
+which saves 5 s of processor time.
 """
 MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
 """Ratio of chi-square to degrees of freedom, below which readings count as computed and not measured: the residuals are

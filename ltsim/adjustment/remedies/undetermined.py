@@ -32,7 +32,7 @@ MIN_DETERMINED_GAIN = 0.5
 """Smallest gain (fraction of the prior variance that the readings remove) of a determined parameter combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
 """Gain (fraction of the prior variance that the readings remove), below which parameter combinations count as equally
-undetermined. These combinations are replaced by combinations of each other that contain few parameters."""
+undetermined. Such combinations are replaced by linear combinations of them that contain few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
 """Absolute coefficient of a parameter in a combination of parameters, above which the parameter is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
