@@ -186,7 +186,7 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
 
 
 def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem in which exact reference values get a small standard deviation, because a test is impossible without."""
+    """Problem in which exact reference values get a small standard deviation, because a test requires one."""
     if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
