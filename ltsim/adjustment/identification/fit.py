@@ -375,7 +375,7 @@ class NetworkFit:
         return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: CauseHypothesis) -> float:
-        """Log Occam factor of a hypothesis; for changed noise, plus half the change of the log determinant of weights."""
+        """Log Occam factor of a hypothesis, for changed noise including the log determinant of the changed weights."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
             return float(
