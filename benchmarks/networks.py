@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.campaigns.true_network import TrueNetwork, make_true_network
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_at_state
@@ -52,7 +52,7 @@ def room(stations: int, targets: int) -> TrueNetwork:
         face=face,
         repeat=face,
         time=np.arange(len(station), dtype=np.float64),
-        readings=to_face(to_polar(local), face),
+        readings=swap_front_and_raw(to_polar(local), face),
     )
     built = misalignment_construction()
     state = NetworkState(position, rotation, points, np.zeros((1, built.n_parameters)))

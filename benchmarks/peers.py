@@ -135,7 +135,7 @@ class DenseProblem:
 
     def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
         gauge = self._gauge
-        unit = gauge.unit_vectors(points) / gauge.total_sigmas[:, None]
+        unit = gauge.line_directions(points) / gauge.total_sigmas[:, None]
         at = start + np.arange(len(gauge))[:, None]
         design[at, poses + 3 * gauge.first_targets[:, None] + np.arange(3)] = unit
         design[at, poses + 3 * gauge.second_targets[:, None] + np.arange(3)] = -unit

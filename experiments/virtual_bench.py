@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.bench import ReflectorBenchReadings, eccentricity_design
+from ltsim.adjustment.evaluation.bench import ReflectorBenchReadings, eccentricity_design_matrix
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
@@ -56,7 +56,7 @@ class BenchTest:
 
 def vertex_table(axial: float, side: float, angles: Floats = INCIDENCE_TABLE_ANGLES) -> Floats:
     """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
-    return eccentricity_design(angles) @ np.array([axial, side])
+    return eccentricity_design_matrix(angles) @ np.array([axial, side])
 
 
 def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenchReadings:
@@ -65,7 +65,7 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenc
     def noise(what: str, count: int) -> Floats:
         return random_stream(seed, *key, "bench", what).standard_normal(count)
 
-    lengths = bench.table + eccentricity_design(INCIDENCE_TABLE_ANGLES) @ bench.eccentricity
+    lengths = bench.table + eccentricity_design_matrix(INCIDENCE_TABLE_ANGLES) @ bench.eccentricity
     turned = bench.probe_angles - PROBE
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
     phase = 2 * np.pi * random_stream(seed, *key, "bench", "lobes").random(len(LOBES))

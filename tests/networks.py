@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, measured_points, rms_point_error
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
@@ -132,7 +132,7 @@ def share_removed(
     """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
     sizes = (None, calibrated, true_parameters)
     return CalibrationErrors(
-        *(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes)
+        *(rms_point_error(recording, measured_points(recording, construction, v), points) for v in sizes)
     )
 
 

@@ -9,9 +9,9 @@ from experiments.common import Made, Options, cells_of, summary, write_figure, w
 from ltsim.adjustment.evaluation.clouds import align_to_first_station, align_to_points
 from ltsim.adjustment.evaluation.criteria import (
     StationDisagreement,
-    coordinate_differences,
+    coordinate_disagreement,
     coordinate_errors,
-    distance_differences,
+    distance_disagreement,
     distance_errors,
 )
 from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
@@ -54,7 +54,7 @@ def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]
     """Both criteria of clouds (S, T, 3) [m]."""
     lengths, placed = pair_distances(clouds), align_to_first_station(clouds, names)
     gaps, apart = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
-    return named(distance_differences(clouds), coordinate_differences(placed), np.abs(gaps).max(), apart.max())
+    return named(distance_disagreement(clouds), coordinate_disagreement(placed), np.abs(gaps).max(), apart.max())
 
 
 def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:

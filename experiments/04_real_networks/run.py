@@ -187,7 +187,7 @@ def what_does_not_fit(found: Adjustment) -> Rows:
             "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
             "error": f"{miss / UNIT[j]:.3f} {'mm' if j == 0 else 'arcsec'}",
             "error_at_target_mm": f"{1e3 * miss * (1.0 if j == 0 else range_):.3f}",
-            "in_sigma": f"{miss / found.problem.sigma[i, j]:.1f}", "range_m": f"{range_:.1f}",
+            "in_sigma": f"{miss / found.problem.reading_sigmas[i, j]:.1f}", "range_m": f"{range_:.1f}",
         })  # fmt: skip
     return rows
 

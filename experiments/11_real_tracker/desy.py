@@ -58,7 +58,7 @@ def variance_factors(adjustments: list[Adjustment]) -> Floats:
     """(3,) ratio of found to stated standard deviation of range, azimuth, elevation (Helmert, one round)."""
     squares, redundancy = np.zeros(3), np.zeros(3)
     for a in adjustments:
-        squares += np.nansum((a.residuals / a.problem.sigma) ** 2, axis=0)
+        squares += np.nansum((a.residuals / a.problem.reading_sigmas) ** 2, axis=0)
         redundancy += np.nansum(a.redundancy, axis=0)
     factors: Floats = np.sqrt(squares / redundancy)
     return factors
@@ -82,7 +82,7 @@ def noise_found(rounds: int = 4) -> Noise:
 def clean(pairs: TwoFacePairs, recording: Recording) -> Bools:
     """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
     gone = {d[:2] for d in snooped(recording)[1]}
-    rows = pairs.rows[:, 0]
+    rows = pairs.pointing_indices[:, 0]
     return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
                      for i in rows], dtype=bool)  # fmt: skip
 

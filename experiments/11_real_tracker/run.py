@@ -189,7 +189,7 @@ def index(out: Path) -> None:
     for name in EPOCHS:
         recording = snooped(epoch(name, found))[0]
         pairs = two_face_pairs(recording)
-        station = recording.station[pairs.rows[:, 0]]
+        station = recording.station[pairs.pointing_indices[:, 0]]
         design = [-1.0 / pairs.mean_front_face_readings[:, 0]]
         for s in (0, 1):
             own = station == s
@@ -214,7 +214,7 @@ def checks(out: Path) -> None:
     for name in EPOCHS:
         recording = epoch(name, found)
         pairs, spans = two_face_pairs(recording), interferometer(name)
-        own = recording.target[pairs.rows[:, 0]] == recording.targets.index("K6")
+        own = recording.target[pairs.pointing_indices[:, 0]] == recording.targets.index("K6")
         row = {"epoch": name, "K6 half difference in range um": round(1e6 * pairs.half_differences[own, 0].mean(), 1)}
         points = adjust(recording, misalignment_construction()).state.target_points
         for target in ("PQK36_3", "PQK62_10"):

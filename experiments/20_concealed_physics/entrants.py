@@ -77,7 +77,7 @@ def gama(recording: Path, out: Path) -> None:
 
     import ltsim as lt
     from ltsim.calibration.correct import corrected_readings
-    from ltsim.geometry.polar import from_polar, to_face, to_polar
+    from ltsim.geometry.polar import from_polar, swap_front_and_raw, to_polar
     from ltsim.geometry.rigid import rotation_about_z
 
     read = lt.read(str(recording))
@@ -86,8 +86,8 @@ def gama(recording: Path, out: Path) -> None:
     upright = np.stack(
         [rotation_about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.station_rotations]
     )
-    local = from_polar(to_face(ideal, read.face))
-    level = to_face(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
+    local = from_polar(swap_front_and_raw(ideal, read.face))
+    level = swap_front_and_raw(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
     stations = {name: s.model_copy(update={"levelled": True}) for name, s in read.setup.stations.items()}
     setup = read.setup.model_copy(update={"stations": stations})
     lt.write(read.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")

@@ -28,7 +28,7 @@ def background(file: str, clockwise: bool, told_noise: bool) -> tuple[Recording,
     """A recording that is asked, the same with the noise that it has, and what is told of the first as it is."""
     recording = lt.read(DATA / file, hints=Hints(azimuth="clockwise") if clockwise else None)
     told = lt.diagnose(recording, held_out=False)
-    sigma = told.final_adjustment.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+    sigma = told.final_adjustment.problem.reading_sigmas / [MILLIMETRE, ARCSECOND, ARCSECOND]
     columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
     setup = recording.setup.model_copy(update={"centring": told.final_adjustment.recording.setup.centring})
     weighted = recording.replace(covariates={**recording.covariates, **columns}, setup=setup)

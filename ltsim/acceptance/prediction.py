@@ -18,7 +18,7 @@ from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, points_aro
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import components_across_beam, from_polar, to_polar, unit_vectors
+from ltsim.geometry.polar import beam_frame_axes, components_across_beam, from_polar, to_polar
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import reading_sigmas_from_noise
@@ -111,7 +111,7 @@ class AcceptancePlan:
         The unit vectors have the shape (tests, 3, 3); the noise is given as standard deviations (tests, 3) [m].
         """
         polar = to_polar(points)
-        axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
+        axes = np.stack(beam_frame_axes(polar[:, 1], polar[:, 2]), axis=1)
         flat = np.zeros(len(polar))
         sigma = reading_sigmas_from_noise([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])

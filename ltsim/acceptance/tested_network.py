@@ -15,7 +15,7 @@ from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.calibration.correct import corrected_readings
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import components_across_beam, from_polar, polar_jacobian, to_polar, unit_vectors
+from ltsim.geometry.polar import beam_frame_axes, components_across_beam, from_polar, polar_jacobian, to_polar
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotionEffect, TargetDisplacementEffect
 from ltsim.recordings.specification import Specification
@@ -224,7 +224,7 @@ class TestedNetwork:
         instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (targets, 3)
         [m]. `rows_by_face` are the pointings in each face.
         """
-        _, across, up = unit_vectors(*to_polar(points).T[1:])
+        _, across, up = beam_frame_axes(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
         changes = [self._mean_point_derivatives_by_effects(targets, rows) for rows in rows_by_face]
         extra_design = np.einsum("tci,tiq->tcq", directions, changes[0] - changes[1])
@@ -239,7 +239,7 @@ class TestedNetwork:
         )
         covariance += np.einsum("tcq,tdq->tcd", nuisance, nuisance)
         for rows in rows_by_face:
-            root = self._point_derivatives_by_readings(rows) * self.adjustment.problem.sigma[rows][:, None, :]
+            root = self._point_derivatives_by_readings(rows) * self.adjustment.problem.reading_sigmas[rows][:, None, :]
             noise = np.einsum("tn,nij->tij", self._mean_weights(targets, rows) ** 2, root @ np.swapaxes(root, 1, 2))
             covariance += max(factor**2 - 1.0, 0.0) * (directions @ noise @ np.swapaxes(directions, 1, 2))
         return np.asarray(np.linalg.eigvalsh(covariance)[:, -1].clip(min=0.0))

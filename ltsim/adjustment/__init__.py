@@ -1,4 +1,4 @@
-"""Network adjustment: poses, target coordinates and parameters with their covariances, computed from a recording."""
+"""Network adjustment: station poses, target coordinates and parameters with covariances, from a recording."""
 
 from ltsim.adjustment.adjustment import Adjustment as Adjustment, FlaggedReading as FlaggedReading
 from ltsim.adjustment.estimate import adjust as adjust, adjust_from_state as adjust_from_state

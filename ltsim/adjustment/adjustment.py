@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.datum import InnerConstraintDatum
 from ltsim.adjustment.frame import are_collinear
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
@@ -33,13 +33,13 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import to_dense
-from ltsim.solve.elimination import BlockFactor, SingularSystemError
+from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Largest number of suspected readings for which outliers are removed one after another; if more readings are
-suspected, each is tested without regard to the others."""
+"""Largest number of suspected readings at which outliers are removed one after another. Of more suspected readings each
+is tested as if it were the only outlier."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class FlaggedReading:
     normalised_residual: float
     """Normalised residual, the statistic of the w-test."""
     p_value: float
-    """Probability of a test statistic at least as large as that of this reading in a recording without gross errors."""
+    """Probability that the largest test statistic of a recording without gross errors exceeds that of this reading."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,28 +65,28 @@ class Adjustment(Result):
     problem: NetworkProblem
     """Least-squares problem that was solved."""
     solution: Solution[NetworkState]
-    """Solution of the problem, with its convergence status."""
+    """Solution of the problem: adjusted unknowns, factorised normal equations and convergence status."""
     is_gross_pointing: Bools
     """Flags (n,), True for those of the n pointings that were rejected as gross errors before the adjustment."""
     variance_components: tuple[VarianceComponent, ...] = ()
-    """Estimated noise of groups of readings, already part of `problem.sigma`; empty if no estimate was requested."""
+    """Estimated noise of groups of readings, part of `problem.reading_sigmas`; empty if no estimate was requested."""
     unconnected_targets: tuple[str, ...] = ()
-    """Names of targets without start coordinates, which are not adjusted; their coordinates in `state` have no
-    meaning."""
+    """Names of targets that are not connected to the network and not adjusted; their coordinates are arbitrary."""
     rejected_references: tuple[ReferenceTest, ...] = ()
-    """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
+    """Tests of reference values (known points, lengths, levels) that contradict other observations and were removed."""
     axes_point_tests: tuple[ReferenceTest, ...] = ()
-    """Tests of the declared coordinates that only define the axes (datum), also of those removed from the datum."""
+    """Tests of declared coordinates that only define the axes (datum) of the network, including those excluded."""
     n_duplicate_rows: int = 0
-    """Number of pointings that repeat another pointing in every digit and are not used."""
+    """Number of pointings that are exact copies of another pointing and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on identified errors that are part of the model, and with which the network is consistent."""
+    """Sentences on identified errors that the model contains and that explain the misfit."""
     noise_sentences: tuple[str, ...] = ()
-    """Sentences on noise larger than declared (not part of `problem.sigma`), with which the network is consistent."""
-    datum: InnerDatum | None = None
-    """Inner datum of the covariances; None if the datum is the frame of the adjustment (pose of the first station)."""
+    """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
+    datum: InnerConstraintDatum | None = None
+    """Datum of the covariances by inner constraints; None if the pose of the first station or constraints define it."""
 
     def _lines(self) -> list[str]:
+        """Lines of the summary that `print` shows."""
         return [
             f"Adjustment: {self.recording.headline}",
             f"{self.construction.name}, {self.construction.n_parameters} instrument parameters, "
@@ -104,11 +104,11 @@ class Adjustment(Result):
         effects: Sequence[LinearEffect] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
-        """Adjustment of planned pointings, for the precision of a plan, which does not depend on readings.
+        """Adjustment of planned pointings at the planned `state`, for the precision of a plan.
 
-        The readings of `recording` only state which observables are measured. `state` contains the planned poses and
-        targets, and the instrument parameters. The parameters of `construction` (default: an ideal tracker without
-        parameters) and of `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that of
+        The values of the readings in `recording` have no influence, only which observables are measured. `state`
+        contains planned poses and targets, and instrument parameters. The parameters of `construction` (default: an
+        ideal tracker) and `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that of
         the set-up. Raises NetworkError if the pointings do not determine all poses and targets.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
@@ -129,7 +129,7 @@ class Adjustment(Result):
 
     @property
     def recording(self) -> Recording:
-        """The recording that was adjusted."""
+        """Recording that was adjusted, without excluded reference values."""
         return self.problem.model.recording
 
     @property
@@ -139,17 +139,17 @@ class Adjustment(Result):
 
     @property
     def effects(self) -> tuple[LinearEffect, ...]:
-        """Effects whose parameters were estimated in addition to the parameters of the instrument."""
+        """Effects (such as drifts) whose parameters were estimated in addition to the instrument parameters."""
         return self.problem.model.effects
 
     @property
     def state(self) -> NetworkState:
-        """Adjusted poses, targets and parameters."""
+        """Adjusted poses, target coordinates, instrument parameters and parameters of effects."""
         return self.solution.x
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squared residuals of readings, reference values and priors."""
+        """Chi-square: weighted sum of squared residuals of readings, reference values and priors."""
         return self.solution.sum_of_squares
 
     @property
@@ -164,25 +164,25 @@ class Adjustment(Result):
 
     @property
     def p_value(self) -> float:
-        """Probability of a larger chi2 if the model and the declared noise are correct."""
+        """p-value of the global test: probability of a larger chi2 if model and declared noise are correct."""
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
 
     def require_solution(self) -> None:
-        """Check that the network has a solution; raises ConvergenceError, or NetworkError if the cause is known."""
+        """Check that the adjustment converged; raises NetworkError with the cause, or ConvergenceError without one."""
         why = "" if self.solution.has_converged else self._missing_solution_sentence()
         if why:
             raise NetworkError(f"the adjustment did not converge; {why}")
         self.solution.require_success()
 
     def _missing_solution_sentence(self) -> str:
-        """Sentence on the cause of a missing solution (no scale, collinear common targets); empty for other causes."""
+        """Sentence on why there is no solution (no scale, or collinear common targets); empty for other causes."""
         recording, problem = self.recording, self.problem
         held = problem.control_rows.is_declared_coordinate[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
         differences = problem.difference_rows.is_declared_coordinate[:, :2].any()
         lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "declare approximate coordinates of two targets of the datum"
-            return f"no distance, no known length and no two known points give the network its scale; {cure}"
+            cure = "declare approximate coordinates of two datum targets"
+            return f"the scale of the network is undetermined: no distance, known length or two known points; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True
         shared[problem.level_rows.station_indices] = False  # collinear targets determine an upright station
@@ -193,8 +193,8 @@ class Adjustment(Result):
         return ""
 
     @property
-    def factorised_normals(self) -> BlockFactor:
-        """Factorised normal equations at the optimum."""
+    def factorised_normals(self) -> FactorisedNormals:
+        """Factorised normal equations at the solution; raises NetworkError or ConvergenceError without a solution."""
         self.require_solution()
         assert self.solution.factor is not None
         return self.solution.factor
@@ -211,32 +211,31 @@ class Adjustment(Result):
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3) of n pointings: change of each residual per error of its reading; NaN if unused."""
+        """Redundancy numbers (n, 3) of the readings of n pointings, 0 (no check) to 1; NaN for unused readings."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
     def normalised_residuals(self) -> Floats:
-        """Residuals (n, 3) of n pointings divided by their standard deviations, standard normal for a correct model."""
+        """Residuals (n, 3) of n pointings divided by their standard deviations; standard normal if the model holds."""
         return normalise_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
         """Indices (k,) of k noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
-        Noisy targets are those with much larger scatter. A scatter is an observed divided by a declared standard
-        deviation.
+        A scatter is the ratio of observed to declared standard deviation; at noisy targets it is much larger.
         """
         return detect_noisy_targets(self.normalised_residuals, self.redundancy, self.recording.target)
 
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
-        """Tests of the reference values, each against the other observations; removed values come first."""
+        """Tests of all reference values, each against the other observations; excluded reference values come first."""
         tests = reference_tests_with_instrument_constants(self.problem, self.solution)
         return (*self.rejected_references, *tests, *self.axes_point_tests)
 
     @property
     def undetermined_targets(self) -> tuple[str, ...]:
-        """Names of measured targets that the readings in use do not determine and that are not adjusted."""
+        """Names of measured targets whose coordinates the readings in use do not determine; they are not adjusted."""
         targets = self.recording.targets
         measured = np.bincount(self.recording.target, self.recording.is_measured.any(axis=1), len(targets)) > 0
         is_unmeasured = self.problem.undetermined_unknowns.is_unmeasured_target & measured
@@ -244,29 +243,29 @@ class Adjustment(Result):
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
-        """Names of stations whose pose is partly undetermined; the undetermined components keep their start values."""
+        """Names of stations with a partly undetermined pose; its undetermined components keep their start values."""
         held = self.problem.undetermined_unknowns.fixed_pose_components.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
     def is_rejected_reading(self) -> Bools:
-        """Flags (n, 3) of the rejected readings of n pointings; False for readings to undetermined targets."""
+        """Flags (n, 3), True for the readings of n pointings that were rejected as outliers."""
         problem = replace(self.problem, is_used_reading=self.recording.is_usable_reading)
         return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
 
     def flagged_readings(
         self, alpha: float = FAMILY_WISE_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
-        """Outliers among the readings, the most significant first.
+        """Outliers among the readings in use, the most significant first.
 
         `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, because an
         outlier also changes residuals of correct readings. Readings that no test distinguishes from an outlier follow
-        this outlier in the list. The test uses the declared noise (w-test), or with `uses_estimated_noise` the noise
-        estimated from the residuals (tau-test), separately for each target if some targets are noisy.
+        this outlier in the list. The test uses the declared noise (w-test). With `uses_estimated_noise` it uses the
+        noise estimated from the residuals (tau-test), of each target separately if some targets are noisy.
         """
         use, target = self.problem.is_used_reading, self.recording.target
         count = int(use.sum())
-        whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
+        whitened = np.where(use, self.residuals / self.problem.reading_sigmas, 0.0)
         scale = np.full(use.shape, self.sigma0 if uses_estimated_noise else 1.0)
         dof = np.full(use.shape, float(self.dof) if uses_estimated_noise else np.inf)
         if uses_estimated_noise and len(self.noisy_targets_and_scatter[0]):
@@ -280,7 +279,7 @@ class Adjustment(Result):
         )  # the scale is 0 in an exact fit
         flagged = use & (p_value_of_tau(tau, dof, count) < alpha)
         rows, columns = np.nonzero(flagged)
-        unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
+        unit, place = self.problem.reading_sigmas[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
         block = self._redundancy_block(rows, columns)
         outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, alpha)
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
@@ -289,7 +288,7 @@ class Adjustment(Result):
         """Block (k, k) of the redundancy matrix for k readings: pointings `pointing_indices`, observables `columns`.
 
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
-        `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
+        `MAX_SUCCESSIVELY_TESTED_READINGS` readings only the diagonal is computed.
         """
         use = self.problem.is_used_reading
         if len(pointing_indices) > MAX_SUCCESSIVELY_TESTED_READINGS:
@@ -300,16 +299,16 @@ class Adjustment(Result):
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_submatrices(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
+        """Covariances (c, k, k) of c sets of k unknowns, with the indices `columns` (c, k) in the design matrix.
 
-        Targets that are eliminated from the normal equations are not permitted.
+        Coordinates of targets that are eliminated from the normal equations are not permitted.
         """
         covariance = self.factorised_normals.covariance_submatrices(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
     def retained_covariance(self) -> Floats:
-        """Covariance (K, K) of the K unknowns that are not eliminated: poses, some targets, parameters."""
+        """Covariance (K, K) of the K unknowns that the solver does not eliminate: poses, some targets, parameters."""
         covariance = self.factorised_normals.retained_covariance()
         if self.datum is None:
             return covariance
@@ -317,7 +316,7 @@ class Adjustment(Result):
 
     @property
     def first_instrument_covariance(self) -> Floats:
-        """Covariance (p, p) [SI] of the p parameters of the first instrument."""
+        """Covariance (p, p) [SI] of the p estimated parameters of the first instrument."""
         return self.instrument_covariance_of(0)
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
@@ -336,7 +335,7 @@ class Adjustment(Result):
 
     @property
     def pose_covariance(self) -> Floats:
-        """Covariances (S, 6, 6) of translation [m] and rotation [rad] of each of S stations, in the network frame.
+        """Covariances (S, 6, 6) of position [m] and rotation vector [rad] of each of S stations, in the network frame.
 
         They are NaN for components that the readings do not determine, and 0 for components that define the frame.
         """
@@ -355,7 +354,7 @@ class Adjustment(Result):
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariances (T, 3, 3) [m^2] of T targets; NaN for targets that the readings in use do not determine."""
+        """Covariances (T, 3, 3) [m^2] of the coordinates of T targets; NaN for undetermined targets and heights."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_retained = unknowns.target_columns[:, 0] < unknowns.n_retained
@@ -373,28 +372,28 @@ class Adjustment(Result):
 
     @cached_property
     def is_height_undetermined_target(self) -> Bools:
-        """Flags (T,), True for those of the T targets whose height is undetermined."""
+        """Flags (T,), True for those of the T targets whose height no observation determines."""
         plan = [self.recording.target_setup(name).plan_only for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-        """Adjustment of the same readings with the same weights, in which `effects` replace the additional effects."""
+        """New adjustment of the same readings and weights with other `effects`, iterated from `start_state`."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         use = old.is_used_reading
-        new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=use, prior=old.prior)
+        new_problem = NetworkProblem.from_model(model, sigma=old.reading_sigmas, reading_mask=use, prior=old.prior)
         problem = replace(new_problem, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
         solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def with_inner_datum(self, datum_names: Sequence[str] | None = None) -> Adjustment:
-        """Adjustment whose covariances have inner constraints over some targets as datum; its state is unchanged.
+        """Copy of the adjustment, with covariances in the datum of inner constraints over the targets `datum_names`.
 
-        `datum_names` are the targets, by default all determined ones. Raises ModelError for an unknown target, and for
-        targets that do not fix the rigid motions which no observation determines.
+        By default all determined targets define the datum. Raises ModelError for an unknown target, and for targets
+        that do not fix the rigid motions which no observation determines.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         datum_names = every if datum_names is None else datum_names
-        datum = InnerDatum.from_points(self.problem, self.state, self.factorised_normals, datum_names)
+        datum = InnerConstraintDatum.from_points(self.problem, self.state, self.factorised_normals, datum_names)
         return replace(self, datum=datum)

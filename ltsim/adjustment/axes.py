@@ -1,8 +1,7 @@
-"""Axes of the hall: recordings whose adjustment gives coordinates in axes that the user defines.
+"""Axes of the hall: recordings whose adjusted coordinates refer to axes that the user defines.
 
-Coordinates of some targets, or three targets that define the axes, become the datum of the recording: state,
-covariances and all results refer to it, by inner constraints over these targets. The shape of the network does not
-change.
+The axes are defined by declared coordinates of some targets, or by three targets (origin, x axis, xy plane). These
+targets become the datum of the recording by inner constraints. The shape of the network does not change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,28 +19,28 @@ from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option_text
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
-MAX_RELATIVE_MISCLOSURE = 0.05
-"""Largest permitted median misclosure of declared coordinates, divided by the median distance between the points.
-Nominal coordinates of a drawing differ less from a network. Coordinates whose scale differs from 1 by more than the
-same number are rejected too.
+MAX_RELATIVE_POINT_MISCLOSURE = 0.05
+"""Largest median misclosure of declared coordinates that define the axes, divided by the median distance between the
+points. Nominal coordinates of a drawing differ less from a network. Declared coordinates whose scale differs from the
+network by more than this fraction are rejected too.
 """
 NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
-"""Empty mapping from target names to axes: every target defines the datum with all three coordinates."""
+"""Default of the axes in which each target defines the datum: an empty mapping, for all three axes of every target."""
 
 
 def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, Floats], source_text: str) -> Recording:
-    """Recording whose datum is defined by declared coordinates [m] of targets.
+    """Recording whose axes (datum) are defined by declared coordinates of targets, `points_by_target` (3,) [m].
 
-    `adjust` excludes coordinates that contradict the others. `source_text` is the name of their file. Raises
-    RecordError unless three targets that are not collinear have coordinates, if their shape differs from that of the
-    network (mirrored, other scale), and if known points already define the frame.
+    `adjust` later excludes coordinates that contradict the others. `source_text` is the name of their file. Raises
+    RecordError if fewer than three targets have coordinates or they are collinear, if the declared points are mirrored
+    or have another scale than the network, and if known points already define the frame.
     """
     common_names = [
         name for name in recording.targets if name in points_by_target and np.isfinite(points_by_target[name]).all()
@@ -62,13 +61,13 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
 
 
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
-    """Scale error of the coordinates that define the axes of the hall, and its standard deviation.
+    """Relative scale error of the coordinates that define the axes of the hall, and its standard deviation.
 
-    The scale error is the relative difference from the scale of the measured ranges, estimated from the residuals of
-    the coordinates. The result is None if the scale error is not significant.
+    It is the difference from the scale of the measured ranges, estimated from the residuals of the coordinates. The
+    result is None if the scale error is not significant, or if fewer than three points are tested.
     """
     used_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded and len(test.residual) == 3]
-    if len(used_tests) < MIN_RIGID_POINTS:
+    if len(used_tests) < MIN_POINTS_FOR_POSE:
         return None
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
     column = (places - places.mean(axis=0)).ravel()
@@ -84,10 +83,10 @@ def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] 
 
 
 def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:
-    """Recording with declared directions of the plumb lines at levelled stations, for a curved earth.
+    """Recording in which the directions of the plumb lines at levelled stations are declared, for a curved earth.
 
-    The directions refer to the axes of the k points `names`, `declared_points` (k, 3) [m]. They follow from the
-    adjusted network after its alignment to these points, because axes of any orientation are permitted.
+    The directions refer to the axes of the k points `names`, `declared_points` (k, 3) [m], in which z need not be
+    vertical. They are computed from the adjusted network after its alignment to these points.
     """
     adjustment = adjust(recording)
     indices = np.array([recording.targets.index(name) for name in names])
@@ -105,12 +104,12 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
 def with_axes_from_three_targets(
     recording: Recording, origin_target: str, x_axis_target: str, xy_plane_target: str
 ) -> Recording:
-    """Recording in axes defined by three targets: the origin, one on the x axis, one in the plane of x and y.
+    """Recording whose axes (datum) are defined by three targets: origin, point on the x axis, point in the xy plane.
 
     Raises
     ------
     RecordError
-        When a target was not measured, or the three lie on one line.
+        When a target was not measured, or the three targets lie on one line.
     NetworkError
         When the recording cannot be adjusted.
     """
@@ -138,10 +137,10 @@ def with_axes_from_three_targets(
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates in the file `path` as control points, weighted by their standard deviations.
+    """Recording with the points in the file `path` as control points, weighted by their standard deviations.
 
-    The file is read by `read_points` and must contain standard deviations; a point may lack some of its coordinates.
-    Raises RecordError for a malformed file, for missing standard deviations, and for a file without measured targets.
+    The file must contain standard deviations; a point may have fewer than three coordinates. Raises RecordError for a
+    malformed file, for missing standard deviations, and for a file without measured targets.
     """
     listed, targets, count = read_points(path, refuses_contradictions=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
@@ -171,17 +170,17 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
 
 def _require_free_frame(recording: Recording, source: str | None = None) -> None:
-    """Check that no known points define the axes already; raises RecordError with the file name `source`."""
+    """Check that no known points already define the axes; raises RecordError with the file name `source`."""
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        message = f"the recording's known points define the axes already: leave {option_text('frame')} out"
+        message = f"the known points of the recording already define the axes: leave {option_text('frame')} out"
         raise RecordError(message, file=source)
 
 
 def _require_same_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
-    """Check that k declared points (k, 3) [m] have the shape of the network; raises RecordError.
+    """Check that k declared points (k, 3) [m] have the shape of the network points (k, 3) [m]; raises RecordError.
 
-    Points are rejected if they are collinear, mirrored, in another scale, or far from the network points (k, 3).
-    `source` is the file name in the error.
+    Declared points are rejected if they are collinear, mirrored, in another scale, or far from the network points after
+    alignment. `source` is the file name in the error.
     """
     mirror = network_points * [1.0, 1.0, -1.0]
     try:
@@ -196,14 +195,14 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
     lengths, declared = (
         np.linalg.norm(p[point_pairs[0]] - p[point_pairs[1]], axis=1) for p in (network_points, declared_points)
     )
-    if typical < MAX_RELATIVE_MISCLOSURE * float(np.median(lengths)) and not is_mirrored:
+    if typical < MAX_RELATIVE_POINT_MISCLOSURE * float(np.median(lengths)) and not is_mirrored:
         return
     scale = float(np.median(declared / np.maximum(lengths, 1e-9)))
-    if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
+    if abs(scale - 1.0) > MAX_RELATIVE_POINT_MISCLOSURE:
         message = f"the distances between its targets are {scale:.4g} times the measured ones"
         message += "; give its coordinates in millimetres"
         raise RecordError(message, file=source)
-    reason = "its axes are left-handed" if is_mirrored else "check the hall and the names of the targets"
+    reason = "its axes are left-handed" if is_mirrored else "check that hall and target names are the right ones"
     message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
     raise RecordError(message, file=source)
 
@@ -214,9 +213,10 @@ def _with_datum_points(
     axes_by_target: Mapping[str, Axes] = NO_RESTRICTED_AXES,
     source: str | None = None,
 ) -> Recording:
-    """Recording whose datum is defined by the positions [m] of some targets.
+    """Recording whose axes (datum) are defined by the positions of some targets, `points_by_target` (3,) [m].
 
-    `axes_by_target` restricts the datum to some axes of a target; `source` is the name of the file of the positions.
+    `axes_by_target` restricts the datum to some coordinates of a target; `source` is the name of the file with the
+    positions.
     """
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in points_by_target.items():

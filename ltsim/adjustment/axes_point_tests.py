@@ -1,4 +1,4 @@
-"""Tests of the points that define the axes of a network: each declared point against the other points."""
+"""Tests of the points with declared coordinates that define the axes of a network, each against the other points."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,23 +11,28 @@ from ltsim.adjustment.datum import motions_about_centre, move_to_datum
 from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.adjustment.reliability import noise_factor
-from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_CLEAR_SIGMAS, MIN_MISFIT_RATIO
+from ltsim.adjustment.significance import (
+    FAMILY_WISE_LEVEL,
+    MAX_TRACKER_ERROR,
+    MIN_CERTAIN_ERROR_SIGMAS,
+    MIN_MISFIT_RATIO,
+)
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly, rigid_motion_jacobian
 from ltsim.recordings.recording import Recording
 
 
 def exclude_contradicting_axes_points(
     adjustment: Adjustment, names: Sequence[str]
 ) -> tuple[Recording, tuple[ReferenceTest, ...]]:
-    """Recording whose datum consists of the points with consistent declared coordinates, and the test of each point.
+    """Recording without contradicting points in its datum, and the test of each point that defines the axes, `names`.
 
-    `names` are the points that define the axes. Each point is tested against the other points: its misclosure in their
-    axes is compared with the uncertainty of the network at this point, multiplied by the `noise_factor` of the fit, and
-    with the scatter of the other points. A contradicting point is excluded. If the other points alone do not determine
-    the axes, the point remains, with its coordinates corrected by the estimated error.
+    The other points define axes in which the misclosure of a point is computed. The misclosure is compared with the
+    uncertainty of the network (multiplied by the `noise_factor` of the fit) and with the scatter of the other points. A
+    contradicting point is excluded from the datum. If the other points alone do not determine the axes, the point
+    remains, and its declared coordinates are corrected by the estimated error.
     """
     recording = adjustment.recording
     declared_points = (
@@ -47,7 +52,7 @@ def exclude_contradicting_axes_points(
             k = int(np.argmax(np.where(use, ratio, 0.0)))
         else:
             break
-        if use[k] and use.sum() <= MIN_RIGID_POINTS:
+        if use[k] and use.sum() <= MIN_POINTS_FOR_POSE:
             tests[k] = replace(tests[k], is_excluded=True)
             declared_points[k] -= tests[k].error
             break
@@ -61,9 +66,9 @@ def exclude_contradicting_axes_points(
 def _axes_point_tests(
     adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools, factor: float
 ) -> list[ReferenceTest]:
-    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags.
+    """Tests of k points with declared coordinates (k, 3) [m], each against those points that `used_mask` (k,) flags.
 
-    The standard deviations of the network are multiplied by `factor`.
+    The standard deviations of the adjusted coordinates are multiplied by `factor`, the noise factor of the fit.
     """
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     datum_adjustment = adjustment.with_inner_datum(chosen)
@@ -74,7 +79,7 @@ def _axes_point_tests(
     gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
     motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)
-    motion = (rigid_motion_design(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
+    motion = (rigid_motion_jacobian(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
     leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
     hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
@@ -96,13 +101,13 @@ def _axes_point_test(
     is_used: bool,
     scatter_dof_and_level: tuple[float, int, float],
 ) -> ReferenceTest:
-    """Test of one of the points that define the axes.
+    """Test of the declared coordinates of one point, the target `target_name`, that may define the axes.
 
     `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] the covariance of the
-    latter. `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point
-    in use is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level`
-    contains the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of
-    this test.
+    adjusted coordinates. `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. For a point
+    that `is_used` in the alignment, the misclosure is (1 - `hat_block`) times the error of the declared coordinates;
+    for an excluded point it is the full error. `scatter_dof_and_level` contains the sum of squared misclosures of the
+    points in use, its degrees of freedom, and the significance level of this test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
     is_checked = share > NORMAL_EQUATIONS_TOLERANCE
@@ -120,12 +125,12 @@ def _axes_point_test(
         kind="axes",
         name=target_name,
         declared_axes="xyz",
-        sigma=np.sqrt(np.diag(covariance) + variance_factor),
+        declared_sigmas=np.sqrt(np.diag(covariance) + variance_factor),
         residual=misclosure,
         error=turned @ error,
-        sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
+        error_sigmas=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
         chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
         is_excluded=not is_used,
-        critical_value=max(MIN_CLEAR_SIGMAS, float(np.sqrt(limit))),
+        critical_value=max(MIN_CERTAIN_ERROR_SIGMAS, float(np.sqrt(limit))),
     )

@@ -1,8 +1,8 @@
 """Identification of blunders: exchanged reflectors, wrong heights, wrong units, wrong faces.
 
-A pointing with an error of millimetres or more is compared with typical blunders. A pointing that a blunder explains
-can be corrected; other such pointings are rejected. Whole stations in another unit, convention or face are detected
-before the adjustment, because the shape of their points differs from that of other stations.
+A pointing with an error of millimetres or more is compared with typical blunders. If one of them explains the error,
+the pointing can be corrected; otherwise it is rejected. Stations recorded completely in another unit, convention or
+face are detected before the adjustment, because the shape of their points differs from that of other stations.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -19,7 +19,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
@@ -28,32 +28,32 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WRONG_FACE_ERRORS, shared_target_counts
 
 MAX_COMPARED_STATIONS = 30
-"""Largest number of stations with which a station is compared (those that share most targets with it), because each
-comparison takes a millisecond. Also the largest number of stations whose units are corrected: if more stations differ,
-the whole file is wrong.
+"""Largest number of stations with which each station is compared: those that share most targets with it. The limit
+saves time, as each comparison takes a millisecond. It is also the largest number of stations whose units are corrected:
+if more stations differ, the whole file is wrong.
 """
-MIN_CLOUD_MISFIT = 5e-3
-"""Median misfit [m] between the points of two stations, above which another unit or convention of a station is
-suspected; neither tracker errors nor a single blunder cause such a misfit.
+MIN_STATION_MISFIT_OF_WRONG_UNIT = 5e-3
+"""Median distance [m] between the common points of two stations after alignment, above which another unit or convention
+of a station is suspected. Neither tracker errors nor a single blunder cause such a misfit.
 """
 
 
 @dataclass(frozen=True)
 class IdentifiedBlunder:
-    """Blunder that was identified in some pointings."""
+    """Blunder that was identified in k pointings."""
 
     effect_name: str
-    """Kind of the blunder: target-swap, wrong-unit, face-confusion or outlier."""
-    rows: Ints
+    """Name of the catalogue effect that represents the blunder: target-swap, wrong-unit, face-confusion or outlier."""
+    pointing_indices: Ints
     """Indices (k,) of the k pointings with the blunder."""
     stations: tuple[str, ...]
-    """Names of the stations of the pointings; empty if the station does not matter."""
+    """Names of the stations of the pointings; empty for a centring error of a mark."""
     targets: tuple[str, ...]
     """Names of the targets concerned; empty for a blunder in all pointings of a station."""
     observables: tuple[str, ...]
     """Names of the wrong observables; empty for all three."""
     displacement: float
-    """Displacement [m] of the measured point by the blunder."""
+    """Largest displacement [m] of a measured point by the blunder."""
     sentence: str
     """Sentence for the user on the blunder."""
     displacement_sigma: float = 0.0
@@ -61,31 +61,32 @@ class IdentifiedBlunder:
 
 
 BlunderWithCorrection = tuple[IdentifiedBlunder, Floats, Ints]
-"""Blunder, and the corrected readings (k, 3) [m, rad, rad] and targets (k,) of its k pointings."""
+"""Tuple of a blunder, the corrected readings (k, 3) [m, rad, rad] and the correct target indices (k,) of its
+pointings."""
 
 
 def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrection]) -> Recording:
-    """Recording in which the readings and targets of the pointings with blunders are corrected."""
+    """Recording with corrected readings and targets of the pointings with blunders."""
     if not blunders:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
     for finding, read, target_read in blunders:
-        readings[finding.rows], target[finding.rows] = read, target_read
+        readings[finding.pointing_indices], target[finding.pointing_indices] = read, target_read
     return recording.replace(readings=readings, target=target)
 
 
 def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
-    """Blunders that explain gross errors, each with corrections after which its pointings agree with a target."""
+    """Blunders that explain pointings with gross errors, each with corrected readings and targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
             corrections.append(mend)
-            remaining[mend[0].rows] = False
+            remaining[mend[0].pointing_indices] = False
     return corrections
 
 
 def _network_points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of k pointings `rows` (k,)."""
+    """Points (k, 3) [m] in the network frame, from `readings` (k, 3) in place of those of k pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local_points = adjustment.construction.points_from_readings(
         readings, adjustment.state.instrument_parameters[instrument]
@@ -97,13 +98,13 @@ def _network_points_from_readings(adjustment: Adjustment, readings: Floats, rows
 
 
 def _distances_from_targets(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Distances (k,) [m] of the measured points from their targets, for readings (k, 3) of k pointings `rows` (k,)."""
+    """Distances (k,) [m] of measured points from adjusted targets, for `readings` (k, 3) of k pointings `rows`."""
     goal = adjustment.state.target_points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_network_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of exchanged targets: two targets exchanged at a station, or one target mistaken for another.
+    """Blunders in target names: two targets exchanged at a station, or one target mistaken for another.
 
     `is_gross` (n,) flags those of the n pointings that have gross errors.
     """
@@ -141,7 +142,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Blunde
 
 
 def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of heights: points directly above or below their target. `is_gross` flags gross pointings."""
+    """Blunders in heights: points directly above or below their target; `is_gross` (n,) flags pointings with errors."""
     recording = adjustment.recording
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
@@ -182,9 +183,9 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
 
 
 def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of unit and face among the pointings with gross errors, which `is_gross` flags.
+    """Blunders in unit or face of single pointings, which agree with their target after a correction.
 
-    These pointings agree with their target after a correction of the unit or face.
+    `is_gross` (n,) flags those of the n pointings that have gross errors.
     """
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_AND_CONVENTION_ERRORS), (FaceConfusion.name, WRONG_FACE_ERRORS)
@@ -204,7 +205,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
 
 
 def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording in which stations with readings in another unit or convention are corrected, and the blunders.
+    """Recording with corrected readings of stations that were recorded in another unit or convention, and the blunders.
 
     Returns
     -------
@@ -212,10 +213,10 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         Recording with converted readings.
     findings : list of IdentifiedBlunder
         Blunders, one for each corrected station. The list is empty if the points of all stations have the same shape,
-        if no blunder explains the difference, or if more than `MAX_COMPARED_STATIONS` stations differ.
+        if no unit or convention explains the difference, or if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     findings: list[IdentifiedBlunder] = []
-    suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
+    suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
     if len(recording.stations) == 2:
         return recording, _mirror_image_blunders(recording) if len(suspects) else findings
     if len(suspects) > MAX_COMPARED_STATIONS:
@@ -226,7 +227,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
             readings = recording.readings.copy()
             readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
-            if _cloud_misfits(corrected, [s])[s] < MIN_CLOUD_MISFIT:
+            if _cloud_misfits(corrected, [s])[s] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
                 sentence = f"Station {name} was recorded with {effect.transcription_error.description}."
@@ -237,14 +238,14 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
-    """Blunder of two stations that measured mirror images of each other, as a list; empty without mirror images.
+    """Blunder that two stations measured mirror images of each other, as a list; empty if they did not.
 
     One of the stations has clockwise azimuths, but the readings do not show which one.
     """
     readings = recording.readings.copy()
     second_station_rows = np.flatnonzero(recording.station == 1)
     readings[second_station_rows, 1] *= -1.0
-    if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_CLOUD_MISFIT:
+    if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
         return []
     a, b = recording.stations
     sentence = f"Stations {a} and {b} measured mirror images: the azimuths of one of them are clockwise."
@@ -252,9 +253,10 @@ def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
 
 
 def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording with faces corrected according to the raw elevations, and the blunders.
+    """Recording with wrong faces of pointings corrected, and the blunders; the raw elevation shows the true face.
 
-    If most pointings of one face have elevations of the other face, this is a convention of the file and no blunder.
+    If most pointings stored in one face have raw elevations of the other face, this is a convention of the file and no
+    blunder; the recording is then unchanged.
 
     Returns
     -------
@@ -283,18 +285,20 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
-    """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
+    """Misfits (S,) [m] of the points of S stations to those of other stations; 0 without enough common targets.
 
-    The misfit of two stations is the median distance of their common points after a rigid alignment. The misfit of one
-    station is the median of its misfits to the stations that share most targets with it. `stations` restricts the
-    comparison to pairs of stations that contain one of these station indices.
+    The misfit of a pair of stations is the median distance of their common points after a rigid alignment. The misfit
+    of a station is the median over the pairs with the stations that share most targets with it. `stations` restricts
+    the comparison to pairs with one of these station indices.
     """
     pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
     n_shared = shared_target_counts(pairs.station_indices, pairs.target_indices, count)
     np.fill_diagonal(n_shared, 0)
     neighbours = np.argsort(-n_shared, axis=1, kind="stable")[:, :MAX_COMPARED_STATIONS]
     is_pair, gaps = np.zeros((count, count), dtype=bool), np.full((count, count), np.nan)
-    np.put_along_axis(is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_RIGID_POINTS, axis=1)
+    np.put_along_axis(
+        is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_POINTS_FOR_POSE, axis=1
+    )
     for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
         if not (stations is None or a in stations or b in stations):
             continue

@@ -1,9 +1,9 @@
-"""Centring errors of an instrument or target that was set up again over a mark, on another day, at a displaced point.
+"""Centring errors: an instrument or target was set up over a mark again on another day, but at a displaced point.
 
-All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark by an instrument
-or by a target on one day. Shifts of occupations are added to the model one by one, always the shift that reduces
-chi-square most, as long as the reduction is significant. Readings of noisy targets are weighted by their estimated
-noise.
+All set-ups over a mark, and all targets on it, count as one point of the network. An occupation is a set-up of an
+instrument, or of a target, at a mark on one day. Shifts of occupations are added to the model one by one, always the
+shift that reduces chi-square most, as long as the reduction is significant. Readings to noisy targets are weighted by
+their estimated noise.
 """
 
 from dataclasses import dataclass, replace
@@ -22,8 +22,8 @@ from ltsim.recordings.occupations import days_of_pointings
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
-MAX_N_CENTRING_ERRORS = 6
-"""Largest number of centring errors that are estimated; a network with more of them must be measured again."""
+MAX_CENTRING_ERRORS = 6
+"""Largest number of centring errors that are estimated in one network; with more of them it must be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
 """Name of the catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 
@@ -37,25 +37,25 @@ class MarkOccupation:
     role: str
     """Equipment on the mark: `instrument` or `target`."""
     day: str
-    """Day of the occupation."""
-    shift_sign: Floats
-    """Sign (n,) with which a shift of the equipment acts on each of n pointings: +1 if the pointing is to it, -1 if it
-    is from it, 0 for other pointings."""
+    """Day of the occupation, as text."""
+    shift_signs: Floats
+    """Signs (n,) with which a shift of the equipment acts on n pointings: +1 for pointings to the target, -1 for
+    pointings from the instrument, 0 for pointings of other occupations."""
 
 
 @dataclass(frozen=True)
 class CentringErrorEstimates:
-    """Centring errors of k occupations, and the global test of the adjustment with them."""
+    """Estimated centring errors of k occupations, and chi-square of the adjustment with and without them."""
 
     adjustment_without_centring: Adjustment
-    """Adjustment without centring errors."""
+    """Adjustment without centring errors in the model."""
     occupations: tuple[MarkOccupation, ...]
-    """Occupations with a centring error."""
+    """The k occupations with a centring error."""
     shifts: Floats
-    """Shifts of the k occupations [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
-    heights."""
+    """Centring errors of the k occupations [m], (k, 3); horizontal components only, (k, 2), if the model contains
+    errors of instrument heights."""
     shift_covariances: Floats
-    """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3) or in plan (k, 2, 2)."""
+    """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3), or (k, 2, 2) for horizontal ones."""
     chi2_with_centring: float
     """Chi-square of the adjustment with the centring errors."""
     dof_with_centring: int
@@ -65,14 +65,14 @@ class CentringErrorEstimates:
 
     @property
     def shift_lengths_and_sigmas(self) -> list[tuple[float, float]]:
-        """Length of each shift and its standard deviation, both in metres."""
+        """Length of each of the k `shifts` and its standard deviation, both in metres."""
         lengths = np.linalg.norm(self.shifts, axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.shift_covariances, self.shifts)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
 
     @property
     def descriptions(self) -> list[str]:
-        """Texts, one for each centring error, of its mark, role, day, size and components."""
+        """Texts, one for each centring error, with its mark, equipment, day, size and components."""
         names = []
         for occupation, value, (size, sigma) in zip(
             self.occupations, self.shifts, self.shift_lengths_and_sigmas, strict=True
@@ -84,7 +84,7 @@ class CentringErrorEstimates:
 
     @property
     def sentence(self) -> str:
-        """Sentence on all centring errors and their effect on the global test."""
+        """Sentence for the user on all centring errors and the resulting decrease of chi-square."""
         weighting_text = (
             f" (readings to {', '.join(self.noisy_targets)} weighted by their observed noise)"
             if self.noisy_targets
@@ -101,9 +101,9 @@ class CentringErrorEstimates:
 
 
 def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ...]) -> list[MarkOccupation]:
-    """Occupations of all marks that were occupied on several days.
+    """Occupations (by instrument or target) of all marks that were occupied on several days.
 
-    `station_mark_names` (S,) are the names of the marks under the S stations, empty for a station without a mark.
+    `station_mark_names` (S,) are the names of the marks under the S stations, '' for a station without a mark.
     """
     days = np.array(days_of_pointings(recording))
     if len(set(days.tolist())) < 2:
@@ -123,7 +123,7 @@ def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ..
 
 
 def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates | None:
-    """Centring errors of a network; None if no shift is significant, or if the global test passes without shifts."""
+    """Centring errors of occupations; None if none is significant, or if the global test passes without them."""
     if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
     candidates = repeated_occupations(adjustment.recording, adjustment.problem.marks.mark_names)
@@ -138,11 +138,11 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
     height_sigma = max((heads.height_sigma for heads in model.height_errors), default=0.0)
     axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {
-        i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])
+        i: whole.whiten(axis_derivatives * occupation.shift_signs[:, None, None])
         for i, occupation in enumerate(candidates)
     }
     occupations: list[int] = []
-    while len(occupations) < min(MAX_N_CENTRING_ERRORS, len(candidates)):
+    while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
         chi2_drops = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
         best = max(chi2_drops, key=lambda i: chi2_drops[i])
         drop, rank = chi2_drops[best]
@@ -176,7 +176,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording with readings corrected for the centring errors, and one blunder for each centring error."""
+    """Recording with readings corrected for estimated centring errors, and one blunder for each centring error."""
     centring_errors, recording = estimate_centring_errors(adjustment), adjustment.recording
     if centring_errors is None:
         return recording, []
@@ -192,12 +192,12 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
         centring_errors.descriptions,
         strict=True,
     ):
-        readings = readings - occupation.shift_sign[:, None] * (by_target[:, :, : len(value)] @ value)
+        readings = readings - occupation.shift_signs[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"Centring error (tripod not re-occupied at the same point): {named}."
         findings.append(
             IdentifiedBlunder(
                 CENTRING_EFFECT_NAME,
-                np.flatnonzero(occupation.shift_sign),
+                np.flatnonzero(occupation.shift_signs),
                 (),
                 (occupation.mark,),
                 (),
@@ -210,10 +210,10 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
 
 
 def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
-    """Adjustment in which the readings of noisy targets are weighted by their observed noise."""
+    """New adjustment in which the readings to noisy targets are weighted by their observed noise."""
     named, noisy_scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return adjustment
     factors = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
-    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * factors[:, None])
+    problem = replace(adjustment.problem, reading_sigmas=adjustment.problem.reading_sigmas * factors[:, None])
     return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))

@@ -1,10 +1,10 @@
-"""Uncertainty of adjusted coordinates: joint covariance, and displacements by errors of the air.
+"""Uncertainty of adjusted coordinates: joint covariance, and displacements by errors of air temperature and refraction.
 
-The stochastic model of the adjustment does not contain the errors of the air.
+The stochastic model of the adjustment does not contain these errors of the air. Therefore they are added here.
 
 To first order the unknowns depend on the whitened observations by P = N^-1 A', with the normal matrix N and the
-whitened design matrix A. An error that shifts the whitened observations by s displaces the unknowns by P s, and its
-part of their covariance is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use these functions.
+whitened design matrix A. An error that shifts the whitened observations by s displaces the unknowns by P s. If s is the
+shift by one standard deviation of the error, the covariance of the unknowns due to it is P s s' P'.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.units import PPM
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.air import reading_changes_per_air_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
@@ -22,13 +22,13 @@ from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, to_dense, we
 
 COVARIANCE_FILE_NAME = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
-MAX_TARGETS_IN_FILE = 400
-"""Largest number of targets for which the joint covariance is written to a file. The size of the file grows with the
-square of this number and is 20 MB at the limit."""
+MAX_TARGETS_IN_COVARIANCE_FILE = 400
+"""Largest number of targets for which the joint covariance is written to a file. The file grows with the square of the
+number of targets and has 20 MB at the limit."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of the coordinates of T targets, target by target; NaN if undetermined."""
+    """Joint covariance (3 T, 3 T) [m^2] of the x, y, z of T targets in order; NaN for undetermined targets."""
     columns = adjustment.problem.unknowns.target_columns.ravel()
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
@@ -47,15 +47,14 @@ def coordinate_covariance_csv_text(
     sigma_factor: float = 1.0,
     added_covariance: Floats | None = None,
 ) -> str | None:
-    """Content of `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_FILE` targets.
+    """Content of the file `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_COVARIANCE_FILE` targets.
 
     The covariance of the adjustment is multiplied by the square of `sigma_factor`. Two parts are added:
-    `added_covariance` (3 T, 3 T) [m^2], and the covariance of k errors that the T targets share.
-    `shared_displacements` (k, T, 3) [m] contains the displacements of the targets by one standard deviation of each of
-    these errors.
+    `added_covariance` (3 T, 3 T) [m^2], and the covariance due to k independent errors that displace all T targets.
+    `shared_displacements` (k, T, 3) [m] contains the displacements by one standard deviation of each of these errors.
     """
     names = adjustment.recording.targets
-    if len(names) > MAX_TARGETS_IN_FILE:
+    if len(names) > MAX_TARGETS_IN_COVARIANCE_FILE:
         return None
     covariance = sigma_factor**2 * joint_covariance(adjustment)
     if shared_displacements is not None:
@@ -81,7 +80,7 @@ TURBULENCE_ERROR_NAME = "turbulence"
 
 
 def displacement_per_observation(adjustment: Adjustment, columns: Ints) -> Floats:
-    """Displacements (m, k) of k unknowns by a unit change of each of the m whitened observations.
+    """Displacements (m, k) of k unknowns by a change of each of m observations by one standard deviation.
 
     `columns` (k,) are the columns of the unknowns in the design matrix.
     """
@@ -89,7 +88,7 @@ def displacement_per_observation(adjustment: Adjustment, columns: Ints) -> Float
 
 
 def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
-    """Covariances (u, k) of all u unknowns with the k unknowns in `columns` (k,), in the datum of the adjustment."""
+    """Covariances (u, k) of all u unknowns with the k unknowns `columns` (k,), in the datum of the adjustment."""
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
     spread = adjustment.factorised_normals.multiply_by_covariance(unit)
@@ -101,25 +100,28 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 def relevant_air_uncertainty(
     adjustment: Adjustment, air_uncertainty: AirUncertainty | None = None
 ) -> AirUncertainty | None:
-    """Uncertainty of the air, by default as declared in the set-up; None if all ranges are too short to be affected."""
+    """Uncertainty of air temperature, gradient and turbulence; None if all ranges are too short to be affected.
+
+    The default is the declaration in the set-up.
+    """
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
 
 
 def longest_range(adjustment: Adjustment) -> float:
-    """Longest range [m] of a reading in use."""
+    """Longest range [m] of a pointing in use."""
     return float(np.max(adjustment.sightings.range_, where=adjustment.problem.is_used_reading.any(axis=1), initial=0.0))
 
 
 def displacements_by_air_error(
     adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k, q) of k unknowns by one standard deviation of each of q independent air errors, by error name.
+    """Displacements (k, q) of k unknowns by one standard deviation of each of q independent errors of the air.
 
-    The independent errors are one temperature and one gradient per station, and one turbulence error per reading.
-    `displacement_per_observation` (m, k) contains the displacements of these unknowns by a unit change of each of m
-    whitened observations.
+    The keys are the kinds of error: air temperature and vertical gradient (one error per station), turbulence (one
+    error per reading). `displacement_per_observation` (m, k) contains the displacements of these unknowns by a change
+    of each of m observations by one standard deviation.
     """
     readings = displacement_per_observation[: int(adjustment.problem.is_used_reading.sum())].T
     common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
@@ -133,26 +135,26 @@ def displacements_by_air_error(
 
 
 def _reading_shifts_by_shared_air_errors(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
-    """Shifts (2, r) of the r readings in use by errors of air temperature and gradient, and their stations (r,).
+    """Shifts (2, r) of the r readings in use by errors of air temperature and gradient, and their station indices (r,).
 
     The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
     rows, columns = np.nonzero(adjustment.problem.is_used_reading)
     errors = reading_changes_per_air_sigma(air, adjustment.sightings)[rows, columns]
-    return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
+    return (errors / adjustment.problem.reading_sigmas[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 
 def _turbulence_sigma_ratios(adjustment: Adjustment, air: AirUncertainty) -> Floats:
-    """Standard deviations (r,) of the r readings in use due to turbulence, divided by the declared ones."""
+    """Ratios (r,) of the standard deviation by turbulence to the declared one, for the r readings in use."""
     rows, columns = np.nonzero(adjustment.problem.is_used_reading)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
-    return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
+    return np.asarray(np.sqrt(variance) / adjustment.problem.reading_sigmas[rows, columns])
 
 
 def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
-    """Names of the two errors of the air that all stations share: temperature and vertical gradient.
+    """Names, with their sizes, of the two errors of the air that all stations share: temperature, vertical gradient.
 
-    Poses and targets absorb these errors, so that residuals do not show them.
+    Adjusted poses and targets absorb these errors, so that residuals do not show them.
     """
     scale = air.temperature_k * relative_index_decrease_per_kelvin() / PPM
     return (
@@ -164,20 +166,20 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
 def displacements_by_shared_air_error(
     adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k,) of k unknowns by one standard deviation of each air error that all stations share.
+    """Displacements (k,) of k unknowns by one standard deviation of each error of the air that all stations share.
 
-    The keys are the `shared_air_error_names`; `displacement_per_observation` (m, k) contains the displacements of
-    the unknowns by a unit change of each of m whitened observations.
+    The keys are the `shared_air_error_names`. `displacement_per_observation` (m, k) contains the displacements of the
+    unknowns by a change of each of m observations by one standard deviation.
     """
     shifts, _ = _reading_shifts_by_shared_air_errors(adjustment, air)
     return dict(zip(shared_air_error_names(air), shifts @ displacement_per_observation[: shifts.shape[1]], strict=True))
 
 
 def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
-    """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero for short ranges.
+    """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero if all ranges are short.
 
-    `columns` (c, k) are the columns of the unknowns in the design matrix A. With the covariance C of the unknowns and
-    the covariance S of the whitened observations due to the air, the result is C A' S A C.
+    `columns` (c, k) are the columns of the unknowns in the design matrix A. The result is C A' S A C, with the
+    covariance C of the unknowns and the covariance S of the whitened observations due to the air.
     """
     counted, size = relevant_air_uncertainty(adjustment, air), columns.shape[1]
     added_covariance = np.zeros((*columns.shape, size))
@@ -197,11 +199,11 @@ def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncerta
 
 
 def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
-    """Right-hand sides A' s (u, q) of the normal equations for q air errors, and the matrix A' S A (u, u).
+    """Matrices A' s (u, q) and A' S A (u, u), from which the covariance of u unknowns due to the air is computed.
 
-    The air errors are an error of the temperature and one of its vertical gradient at each station, each of one
-    standard deviation. s (r, q) are the shifts of r whitened observations by them, S (r, r) the covariance of the
-    whitened observations due to turbulence, and A (r, u) the whitened design matrix of u unknowns.
+    A (r, u) is the whitened design matrix of the r readings in use. s (r, q) are the shifts of the whitened readings by
+    one standard deviation of q errors: air temperature and vertical gradient at each station. S (r, r) is the
+    covariance of the whitened readings due to turbulence.
     """
     common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
     turbulence, design = _turbulence_sigma_ratios(adjustment, air), adjustment.solution.system.design[: len(station)]
@@ -217,7 +219,7 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 
 
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of the coordinates of T targets due to air errors; zero for short ranges."""
+    """Joint covariance (3 T, 3 T) [m^2] of T targets due to errors of the air; zero if all ranges are short."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return covariance_due_to_air(adjustment, columns, air)[0]
 
@@ -225,10 +227,10 @@ def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | No
 def rms_displacements_by_shared_air_error(
     adjustment: Adjustment, air: AirUncertainty | None = None
 ) -> dict[str, float]:
-    """Rms displacements [m] of the targets by one standard deviation of each air error that all stations share.
+    """Rms displacements [m] of the targets by one standard deviation of each error of the air that all stations share.
 
-    The keys are the `shared_air_error_names`. The best-fitting rigid motion of the targets is removed. These errors do
-    not appear in residuals, so that no adjustment reports them.
+    The keys are the `shared_air_error_names`. The best-fitting rigid motion of the targets is removed. Residuals do not
+    show these errors, so that no test of the adjustment detects them.
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(
@@ -244,7 +246,7 @@ def rms_displacements_by_shared_air_error(
         displacements = displacements - adjustment.datum.free_motions @ (
             adjustment.datum.motion_cross_covariance.T @ normal_side
         )
-    motion = rigid_motion_design(adjustment.state.target_points[targets])
+    motion = rigid_motion_jacobian(adjustment.state.target_points[targets])
     size_by_target = {}
     for name, response in zip(shared_air_error_names(chosen), displacements[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]

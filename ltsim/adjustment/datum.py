@@ -1,8 +1,8 @@
-"""Datum by inner constraints over selected points.
+"""Datum of a network by inner constraints over selected points.
 
-The selected points fix the free rigid motions, which no observation determines: on average these points do not move.
-If approximate coordinates of these points are declared, the network is moved to them. With this datum the covariance of
-the selected points has the smallest trace.
+No observation determines the free rigid motions of a network. Inner constraints fix them: on average the selected
+points do not move. If approximate coordinates of these points are declared, the network is first moved to them. With
+this datum the covariance of the selected points has the smallest trace.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import matrix_from_rotation_vector, rigid_motion_design
+from ltsim.geometry.rigid import matrix_from_rotation_vector, rigid_motion_jacobian
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
-from ltsim.solve.elimination import BlockFactor
+from ltsim.solve.elimination import FactorisedNormals
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 
 @dataclass(frozen=True)
 class DatumPoints:
-    """Points that define a datum, k in number."""
+    """Points that define the datum of a network, k in number."""
 
     coordinate_columns: Ints
     """Indices (k, 3) of the coordinates of the k points in the vector of unknowns."""
     points: Floats
-    """Coordinates (k, 3) [m] of the k points."""
+    """Present coordinates (k, 3) [m] of the k points in the network."""
     approximate_points: Floats
-    """Approximate coordinates (k, 3) [m] of the k points; NaN if not declared or if the axis is not part of the
+    """Declared approximate coordinates (k, 3) [m] of the k points; NaN if not declared, or for coordinates outside the
     datum."""
     defines_datum: Bools
     """Flags (k, 3), True for those coordinates of the k points that define the datum."""
 
     @classmethod
     def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
-        """Datum points with the given names: targets, or marks under set-ups; raises ModelError for an unknown name."""
+        """Datum points `names`, which are targets or marks under set-ups; raises ModelError for an unknown name."""
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.mark_names))) if name and name not in targets}
@@ -62,17 +62,17 @@ class DatumPoints:
 
 
 def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
-    """Names of the measured points that the set-up selects for the datum."""
+    """Names of the measured targets and occupied marks that the set-up selects for the datum (`datum = true`)."""
     recording = problem.model.recording
     valid_names = dict.fromkeys([*recording.targets, *filter(None, problem.marks.mark_names)])
     return tuple(name for name in valid_names if recording.target_setup(name).datum)
 
 
 def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
-    """State moved rigidly to the declared coordinates of the datum points, and the angle [rad] of the applied rotation.
+    """State moved rigidly to the declared coordinates of the datum points `names`, and angle [rad] of the rotation.
 
-    `names` are the datum points. The angle is the sum over all iterations; if no observation determines the scale, it
-    includes the relative change of scale.
+    The angle is the sum over all iterations. If no observation determines the scale, the scale is adapted too, and the
+    angle includes the relative change of scale.
     """
     rotation_angle = 0.0
     for _ in range(MAX_ITERATIONS):
@@ -82,7 +82,7 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
             break
         centre = tied.points[has_goal.any(axis=1)].mean(axis=0)
         free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement_function(problem)
-        motion = np.hstack([rigid_motion_design(tied.points, centre) @ free, grown(tied.points - centre)])[
+        motion = np.hstack([rigid_motion_jacobian(tied.points, centre) @ free, grown(tied.points - centre)])[
             has_goal.ravel()
         ]
         gap = (tied.approximate_points - tied.points)[has_goal]
@@ -107,12 +107,12 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
 
 
 @dataclass(frozen=True)
-class InnerDatum:
-    """S-transformation of covariances to an inner datum.
+class InnerConstraintDatum:
+    """S-transformation of covariances to a datum by inner constraints.
 
-    The columns of G are the free motions, B contains the rows of G of the datum points and zeros elsewhere. The
-    covariance C becomes C' = S C S^T with S = I - G (B^T G)^-1 B^T. The equal sum C' = C - G U^T - U G^T + G M G^T is
-    computed from the matrices U (`motion_cross_covariance`) and M (`motion_covariance`).
+    The columns of G (u, f) are the free motions of u unknowns, B contains the rows of G of the datum points and zeros
+    elsewhere. The covariance C becomes C' = S C S^T with S = I - G (B^T G)^-1 B^T. It is computed as
+    C' = C - G U^T - U G^T + G M G^T from the matrices U (`motion_cross_covariance`) and M (`motion_covariance`).
 
     References
     ----------
@@ -127,20 +127,21 @@ class InnerDatum:
     covariance of the unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
     elsewhere."""
     motion_covariance: Floats
-    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B as for
-    `motion_cross_covariance`."""
+    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions. C (u, u) is the
+    covariance of the u unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
+    elsewhere."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
     @classmethod
     def from_columns(
         cls, free_motions: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]
-    ) -> InnerDatum:
-        """Datum in which some unknowns, with the indices `columns`, fix the motions that no observation determines.
+    ) -> InnerConstraintDatum:
+        """Datum in which the unknowns with the indices `columns` fix the motions that no observation determines.
 
         `free_motions` (u, f) contains the changes of all u unknowns by the f free motions. `multiply_covariance`
         multiplies a matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if the selected
-        unknowns do not fix the motions.
+        unknowns do not fix the free motions.
         """
         constraints = np.zeros_like(free_motions)
         constraints[columns.ravel()] = free_motions[columns.ravel()]
@@ -153,9 +154,9 @@ class InnerDatum:
 
     @classmethod
     def from_points(
-        cls, problem: NetworkProblem, state: NetworkState, normal_equations: BlockFactor, names: Sequence[str]
-    ) -> InnerDatum | None:
-        """Datum defined by the points `names`; None if the observations determine all rigid motions.
+        cls, problem: NetworkProblem, state: NetworkState, normal_equations: FactorisedNormals, names: Sequence[str]
+    ) -> InnerConstraintDatum | None:
+        """Datum defined by the points `names` of a network; None if the observations determine all rigid motions.
 
         Raises ModelError if these points do not fix the motions that no observation determines.
         """
@@ -164,14 +165,14 @@ class InnerDatum:
         tied, unknowns = DatumPoints.from_names(problem, state, names), problem.unknowns
         centre = tied.points.mean(axis=0)
         free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement_function(problem)
-        turn = np.hstack([free[3:], np.zeros((3, len(problem.undetermined_unknowns.scale_target)))])
+        turn = np.hstack([free[3:], np.zeros((3, len(problem.undetermined_unknowns.scale_defining_target)))])
         motion = np.zeros((unknowns.n_columns, turn.shape[1]))
         motion[unknowns.pose_columns[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose_columns), 1))
         for columns, places in (
             (unknowns.target_columns, state.target_points),
             (unknowns.pose_columns[:, :3], state.station_positions),
         ):
-            motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
+            motion[columns.ravel()] = np.hstack([rigid_motion_jacobian(places, centre) @ free, grown(places - centre)])
         return replace(
             cls.from_columns(
                 motion, tied.coordinate_columns[tied.defines_datum], normal_equations.multiply_by_covariance
@@ -180,7 +181,7 @@ class InnerDatum:
         )
 
     def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
+        """Covariances (c, k, k) of c sets of k unknowns, with indices `columns` (c, k), transformed to this datum."""
         motion, carried = self.free_motions[columns], self.motion_cross_covariance[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
         transformed = np.asarray(covariance - cross_covariance)
@@ -193,15 +194,17 @@ class InnerDatum:
 def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], Floats]:
     """Function for the displacements of k points by a unit change of scale, from their vectors (k, 3) from the centre.
 
-    The displacements have shape (3 k, 1), or (3 k, 0) if the observations determine the scale. Heights of a network in
-    plan do not change.
+    The displacements have the shape (3 k, 1), or (3 k, 0) if the observations determine the scale. Heights of a network
+    without elevations do not change.
     """
     axes = np.array([1.0, 1.0, float(problem.is_used_reading[:, 2].any())])
-    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.undetermined_unknowns.scale_target)))
+    return lambda arm: np.tile(
+        (arm * axes).reshape(-1, 1), (1, len(problem.undetermined_unknowns.scale_defining_target))
+    )
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Orthonormal basis (6, f) of `free_motions` (6, f): translations of the point `centre`, rotations about it."""
+    """Orthonormal basis (6, f) of the rigid motions `free_motions` (6, f), with rotations about `centre` (3,) [m]."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

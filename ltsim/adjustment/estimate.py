@@ -1,4 +1,4 @@
-"""Network adjustment of a recording: start values, gross errors, least squares, noise, datum."""
+"""Steps of a network adjustment: start values, gross errors, least squares, estimated noise, datum."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -7,9 +7,9 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.axes_point_tests import exclude_contradicting_axes_points
-from ltsim.adjustment.datum import InnerDatum, move_to_datum, selected_datum_names
+from ltsim.adjustment.datum import InnerConstraintDatum, move_to_datum, selected_datum_names
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
+from ltsim.adjustment.problem import WEAK_EFFECT_PRIOR_FACTOR, NetworkProblem
 from ltsim.adjustment.reference_snooping import snoop_references
 from ltsim.adjustment.reference_tests import (
     TESTED_REFERENCE_KINDS,
@@ -31,7 +31,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
-from ltsim.geometry.rigid import MIN_RIGID_POINTS
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import (
@@ -57,19 +57,20 @@ def adjust(
     datum_names: Sequence[str] | None = None,
     robust: bool = False,
     noise_grouping: NoiseGrouping | None = None,
-    effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
+    effect_prior_sigma: float = WEAK_EFFECT_PRIOR_FACTOR,
     prior: ParameterPrior | None = None,
     tested_reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
 ) -> Adjustment:
-    """Network adjustment from the recording alone: targets, poses, and parameters of `construction` and `effects`.
+    """Network adjustment of a recording, without start values from the user.
 
-    Gross errors of readings, and reference values that contradict the other observations, are excluded first.
+    Poses, target coordinates, and the parameters of `construction` and `effects` are estimated. Gross errors of
+    readings, and reference values that contradict the other observations, are excluded first.
 
     Parameters
     ----------
     recording : Recording
     construction : GeometricErrorModel, optional
-        Default: an ideal tracker without parameters.
+        Geometric error model of the tracker; default: an ideal tracker without parameters.
     effects : sequence of LinearEffect
         Additional effects whose parameters are estimated, with the weak prior of `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
@@ -79,24 +80,25 @@ def adjust(
     datum_names : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up selects.
     robust : bool
-        Rejection of outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
+        True to reject outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
     noise_grouping : str, optional
-        Groups of readings whose noise is estimated: each ``observable``, or each observable of each ``instrument``; the
-        noise of the levels is estimated too. Default: no noise is estimated.
+        Groups of readings whose noise is estimated: ``observable`` (one group per observable), or ``instrument`` (one
+        group per observable and instrument); the noise of the levels is estimated too. Default: no noise is estimated.
     effect_prior_sigma : float
-        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size. It limits
+        Standard deviation of the prior of each parameter of `effects`, divided by its plausible size. It bounds
         parameters that the readings hardly determine.
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
     tested_reference_kinds : collection of str
-        Kinds of reference values that are excluded if they contradict the other observations.
+        Kinds of reference values (known points, lengths, levels) that are excluded if they contradict the other
+        observations.
 
     Returns
     -------
     Adjustment
-        Adjustment in the frame of the first station, unless control points, levels or a datum define another one.
+        Adjustment in the frame of the first station, unless control points, levels or a datum define another frame.
         Targets that the readings in use do not determine are omitted (`undetermined_targets`). An adjustment that did
-        not converge is returned, and its solution has the status.
+        not converge is returned too; `solution.status` gives the reason.
 
     Raises
     ------
@@ -155,10 +157,10 @@ def adjust_from_state(
     datum_names: Sequence[str] | None = None,
     robust: bool = False,
     noise_grouping: NoiseGrouping | None = None,
-    effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
+    effect_prior_sigma: float = WEAK_EFFECT_PRIOR_FACTOR,
     prior: ParameterPrior | None = None,
 ) -> Adjustment:
-    """Network adjustment that starts at `start_state`; without tests for gross errors and wrong reference values.
+    """Network adjustment that starts at `start_state` and does not test for gross errors and wrong reference values.
 
     The other parameters, the result and the errors are those of `adjust`.
     """
@@ -187,10 +189,10 @@ def _problem_and_start_state(
     effect_prior_sigma: float,
     prior: ParameterPrior | None,
 ) -> tuple[NetworkProblem, NetworkState]:
-    """Least-squares problem without undetermined targets, and start state with all parameters of its model.
+    """Least-squares problem without undetermined targets, and its start state.
 
-    The plumb lines of the stations in the model, and the stations over marks, follow from `start_state`. The other
-    parameters are those of `adjust`.
+    From `start_state` follow the plumb lines of the stations in the model, and the positions of stations over marks;
+    missing parameters of effects start at zero. The other arguments are those of `adjust`.
     """
     model = replace(model, recording=with_spherical_earth_plumb_lines(model.recording, start_state.station_positions))
     if len(start_state.extra_parameters) != model.n_extra_parameters:
@@ -207,9 +209,9 @@ def _problem_and_start_state(
 def _without_wrong_references(
     problem: NetworkProblem, start_state: NetworkState, tested_reference_kinds: Collection[ReferenceKind]
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
-    """Problem without the reference values that contradict the readings, its solution, and the tests of these values.
+    """Problem without reference values that contradict the readings, its solution, and the tests of these values.
 
-    If the readings determine instrument constants, these constants are estimated during the tests, because a wrong
+    During the tests the instrument constants (such as the range offset) are estimated if possible, because a wrong
     constant looks like a wrong length or point.
     """
     tested, tested_state = problem.with_instrument_constants(start_state)
@@ -235,10 +237,10 @@ def _with_estimated_noise(
     *,
     robust: bool,
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
-    """Problem with estimated noise, its solution, and the variance components; all unchanged without a grouping.
+    """Problem with estimated noise, its solution, and the variance components.
 
-    `full_problem` is the problem with all readings, and `problem` the problem without outliers. With `robust` the
-    outliers are searched again.
+    `full_problem` contains all readings, `problem` does not contain outliers. With `robust` the outliers are searched
+    again. If `noise_grouping` is None, problem and solution are returned unchanged, without variance components.
     """
     if noise_grouping is None:
         return problem, solution, ()
@@ -247,9 +249,9 @@ def _with_estimated_noise(
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
-    """Flags (n,) of those of n pointings that are from set-ups whose declared mark may be wrong.
+    """Flags (n,) of n pointings, True if the declared mark of the set-up may be wrong: most of its pointings are gross.
 
-    Most pointings of such a set-up have gross errors; `is_gross` (n,) flags the pointings with gross errors.
+    `is_gross` (n,) flags the pointings with gross errors.
     """
     n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
@@ -258,9 +260,10 @@ def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
 
 
 def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
-    """Check that no undetermined rotation of the network changes the offsets of SMRs; raises NetworkError.
+    """Check that the directions of the nest normals are determined if SMRs have several radii; raises NetworkError.
 
-    Such offsets along the normals of nests exist if the SMRs have several radii.
+    SMRs of different radii have their centres at different heights over the nests, along the normals of the nests. If
+    no observation fixes the rotation of the network, these directions are unknown.
     """
     offsets = smr_radius_offsets(problem.model.recording)
     if offsets is None:
@@ -268,22 +271,22 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
     if np.any(np.abs(rotated) > NORMAL_EQUATIONS_TOLERANCE * np.abs(offsets).max()):
         raise NetworkError(
-            "the centres of SMRs with different radii lie at different heights over their nests, along the normals of "
-            "the nests; no observation fixes the rotation of the network, so the directions of the normals are "
-            "unknown; declare three known points (known_mm), or levels if all normals are vertical"
+            "SMRs of different radii have their centres at different heights over the nests, along the nest normals; "
+            "the directions of these normals are unknown, because no observation fixes the rotation of the network; "
+            "declare three known points (known_mm), or levels if all normals are vertical"
         )
 
 
 def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
-    """Problem, unchanged, and its least-squares solution without a rejection of outliers."""
+    """The unchanged problem and its least-squares solution, without rejection of outliers."""
     return problem, solve(problem, start_state)
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
-    """Adjustment with state and covariances in the datum of selected targets.
+    """Adjustment with state and covariances in the datum of the targets `datum_names`, by inner constraints.
 
-    The targets are `datum_names`, by default all determined targets that the set-up selects for the datum. Targets that
-    only define the axes are tested first, and contradicting targets are excluded.
+    By default these are all determined targets that the set-up selects for the datum. Targets that only define the axes
+    are tested first, and contradicting targets are excluded from the datum.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
     names = (
@@ -296,7 +299,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
             raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
-    if adjustment.recording.setup.datum_source and datum_names is None and len(names) >= MIN_RIGID_POINTS:
+    if adjustment.recording.setup.datum_source and datum_names is None and len(names) >= MIN_POINTS_FOR_POSE:
         fitted, tests = exclude_contradicting_axes_points(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
         adjustment, names = (
@@ -308,5 +311,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if turned > SQRT_MACHINE_EPSILON:  # the factorisation belongs to the frame before the rotation
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
-    datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
+    datum = (
+        None if solution.factor is None else InnerConstraintDatum.from_points(problem, state, solution.factor, names)
+    )
     return replace(adjustment, solution=solution, datum=datum)

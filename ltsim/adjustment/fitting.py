@@ -1,7 +1,7 @@
 """Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, horizontal networks.
 
-These fits are used if a station or target has no closed-form solution, for example with bearings without ranges, ranges
-without bearings, a level, or a known mark. Each fit runs from many start values at once, and the best result is used.
+These fits are used if there is no closed-form solution, for example for directions without ranges or ranges without
+directions. The fit of a pose or point is iterated from many start values at once, and the best solution is used.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rotation_about_z
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MAX_SOLUTION_DISTANCE = 1e-3
-"""Largest difference of solutions that count as equal: relative distance plus norm of the difference of rotations."""
-MIN_SUM_OF_SQUARES_RATIO = 4.0
-"""Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
-MAX_RMS_MISFIT_SIGMAS = 300.0
-"""Largest rms residual of an accepted solution, in standard deviations of the readings."""
+MAX_DISTANCE_OF_EQUAL_SOLUTIONS = 1e-3
+"""Largest difference of two solutions for a pose or point that count as equal: distance divided by the extent of the
+points, plus norm of the difference of the rotation matrices."""
+MIN_UNIQUE_SOLUTION_RATIO = 4.0
+"""Smallest ratio of the sum of squares of the second-best to the best solution at which a pose or point is unique."""
+MAX_RMS_RESIDUAL_SIGMAS = 300.0
+"""Largest rms residual of a usable solution for a pose or point, in standard deviations of the readings."""
 N_ITERATED_STARTS = 150
-"""Number of start values that are iterated: those with the smallest sums of squared residuals."""
-MAX_STARTS = 400
-"""Largest number of start values of a point, limited because of the computing time."""
-EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
+"""Number of start values of a pose or point that are iterated: those with the smallest sums of squared residuals."""
+MAX_START_POINTS = 400
+"""Largest number of start values in the fit of a point, limited because of the computing time."""
+START_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
-START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
+START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), START_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
-"""Smallest number of targets of a network of ranges only: `multilaterate` needs nine differences to one target."""
+"""Smallest number of targets of a network of ranges alone: `multilaterate` needs nine differences to one target."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the
@@ -45,7 +46,7 @@ residuals (b, m) of m readings and their derivatives (b, m, q) with respect to t
 def fit_pose(
     fit_readings: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) [m] and rotation (3, 3) of a station that measured known points; None if several solutions fit.
+    """Position (3,) [m] and rotation (3, 3) of a station from readings to known points; None if not unique.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def fit_pose(
 
 
 def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
-    """Point (3,) [m] measured by k pointings from known stations; None if several solutions fit.
+    """Point (3,) [m] from the readings of k pointings of stations with known poses; None if not unique.
 
     `position` (k, 3) [m] and `rotation` (k, 3, 3) are the pose of the station of each pointing.
     """
@@ -98,27 +99,24 @@ def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> 
 
     starts = _start_points(fit_readings.readings, lifted, rotation)
     is_free = np.arange(6) < 3
-    pose = _unique_solution(
-        fit_readings.n_readings,
-        lifted,
-        _iterate_best_starts(evaluate, is_free, starts, np.tile(np.eye(3), (len(starts), 1, 1))),
-    )
+    solutions = _iterate_best_starts(evaluate, is_free, starts, np.tile(np.eye(3), (len(starts), 1, 1)))
+    pose = _unique_solution(fit_readings.n_readings, lifted, solutions)
     return None if pose is None else pose[0]
 
 
 def _unique_solution(
     n_readings: int, points: Floats, solutions: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) and rotation (3, 3) of the first of the `solutions`; None if it fits poorly or is not unique.
+    """Position (3,) [m] and rotation (3, 3) of the best solution; None if it fits poorly or is not unique.
 
     `solutions` of b fits are sums of squares (b,) in ascending order, positions (b, 3) [m], rotations (b, 3, 3).
     """
     cost, x, rotation = solutions
-    if not cost[0] < MAX_RMS_MISFIT_SIGMAS**2 * n_readings:
+    if not cost[0] < MAX_RMS_RESIDUAL_SIGMAS**2 * n_readings:
         return None
     distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(points - x[0]).max())
-    other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
-    is_unique = not len(other_costs) or float(other_costs[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
+    other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_DISTANCE_OF_EQUAL_SOLUTIONS]
+    is_unique = not len(other_costs) or float(other_costs[0]) > MIN_UNIQUE_SOLUTION_RATIO * float(cost[0]) + n_readings
     return (x[0], rotation[0]) if is_unique else None
 
 
@@ -127,16 +125,13 @@ def _iterate_best_starts(
 ) -> tuple[Floats, Floats, Floats]:
     """Sums of squares (b,) in ascending order, positions (b, 3) and rotations (b, 3, 3) of b iterated solutions.
 
-    Levenberg-Marquardt iterations start at the best of the s positions (s, 3) and the s rotations (s, 3, 3).
-    `is_free_unknown` (6,) flags the components of translation and rotation that are estimated.
+    Levenberg-Marquardt iterations start at the best of s start values: `start_positions` (s, 3) [m] and `rotation`
+    (s, 3, 3). `is_free_unknown` (6,) flags the components of translation and rotation that are estimated.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.argsort(_sum_of_squares(evaluate(start_positions, rotation)[0]))[:N_ITERATED_STARTS]
-        here: tuple[Floats, ...] = (
-            start_positions[best],
-            rotation[best],
-            *evaluate(start_positions[best], rotation[best]),
-        )
+        best_starts = start_positions[best], rotation[best]
+        here: tuple[Floats, ...] = (*best_starts, *evaluate(*best_starts))
         cost, damping = _sum_of_squares(here[2]), np.full(len(best), 1e-3)
         step = np.zeros((len(best), 6))
         for _ in range(MAX_ITERATIONS):
@@ -161,6 +156,7 @@ def _iterate_best_starts(
 
 
 def _sum_of_squares(residuals: Floats) -> Floats:
+    """Sums of squares (b,) of residuals (b, m); infinite if a residual is NaN."""
     return np.nan_to_num(np.sum(residuals**2, axis=1), nan=np.inf)
 
 
@@ -169,17 +165,17 @@ def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floa
 
 
 def _candidate_positions(points: Floats) -> Floats:
-    """Start positions (19, 3) [m] of a station, between and around the k points (k, 3) [m] that it measured."""
+    """Start positions (19, 3) [m] for the fit of a station, between and around its measured points (k, 3) [m]."""
     centre = points.mean(axis=0)
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
+    circle = radius * np.stack([np.cos(START_AZIMUTHS), np.sin(START_AZIMUTHS), np.zeros(len(START_AZIMUTHS))], axis=1)
     axis_points = np.outer([-radius, radius], [0.0, 0.0, 1.0])
     return np.concatenate([[centre], centre + 0.4 * circle, centre + 1.5 * circle, centre + axis_points])
 
 
 def _candidate_rotations(is_levelled: bool) -> Floats:
-    """Start rotations of a station, (8, 3, 3) for eight yaws, or (48, 3, 3) with six tilts unless it is levelled."""
-    yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
+    """Start rotations for the fit of a station: eight yaws (8, 3, 3), times six tilts (48, 3, 3) if not levelled."""
+    yaws = np.stack([rotation_about_z(a) for a in START_AZIMUTHS])
     if is_levelled:
         return yaws
     euler_quarters = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -187,7 +183,7 @@ def _candidate_rotations(is_levelled: bool) -> Floats:
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Start points (s, 3) [m] for k pointings from k poses, along beams, or on spheres about stations with ranges."""
+    """Start points (s, 3) [m] for the fit of a point: along k beams, or on spheres around stations with ranges."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -196,13 +192,13 @@ def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Float
                 for value, guess in zip(reading, START_POLAR_COORDINATE_GRIDS, strict=True)
             )
             starts.append(from_polar(np.array(list(product(*ways)))) @ turn.T + place)
-    return np.concatenate(starts)[:MAX_STARTS]
+    return np.concatenate(starts)[:MAX_START_POINTS]
 
 
 def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
-    """Coordinates (S, 3) [m] of S stations and (T, 3) of T targets from all ranges (S, T) [m] between them, or None.
+    """Coordinates (S, 3) [m] of S stations and (T, 3) [m] of T targets from the ranges (S, T) [m] between all of them.
 
-    At least four stations that are not coplanar and ten targets are needed. The network may be mirrored.
+    The result is None unless at least four stations, not coplanar, and ten targets exist. The network may be mirrored.
 
     Notes
     -----
@@ -231,11 +227,12 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
 
 
 MIN_BEAM_PROJECTOR_EIGENVALUE = 1e-5
-"""Smallest eigenvalue of the mean projector perpendicular to the beams, below which beams count as parallel."""
+"""Smallest eigenvalue of the mean of the projectors perpendicular to some beams, below which the beams count as
+parallel."""
 
 
 def beam_intersection(origin: Floats, beam_directions: Floats) -> Floats | None:
-    """Point (3,) [m] nearest to k beams from `origin` (k, 3) along unit vectors (k, 3); None if they are parallel."""
+    """Point (3,) [m] nearest to k beams from `origin` (k, 3) [m] along unit vectors (k, 3); None if parallel."""
     projector = np.eye(3) - beam_directions[:, :, None] * beam_directions[:, None, :]
     normal = projector.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_PROJECTOR_EIGENVALUE * len(beam_directions):
@@ -245,11 +242,14 @@ def beam_intersection(origin: Floats, beam_directions: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class HorizontalLengths:
-    """Horizontal `lengths` (k,) [m] of k lines, and the point indices (k,) of the start and end of each line."""
+    """Measured horizontal lengths of k lines between points of a horizontal network."""
 
     start_indices: Ints
+    """Index (k,) of the start point of each of k lines."""
     end_indices: Ints
+    """Index (k,) of the end point of each of k lines."""
     lengths: Floats
+    """Horizontal length of each of k lines, (k,) [m]."""
 
 
 def fit_horizontal_network(
@@ -262,8 +262,8 @@ def fit_horizontal_network(
 ) -> tuple[Floats, Floats, bool] | None:
     """Coordinates (P, 2) [m] of P points, and yaws (S,) [rad] of S set-ups, from horizontal directions and lengths.
 
-    The points are set-ups and targets. The third element is True if the network is aligned to two or more known points;
-    otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
+    The points are set-ups and targets. The third result is True if the network is aligned to two or more known points;
+    otherwise its x axis is azimuth zero of the first set-up. All results are None if shape or scale are undetermined.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def fit_horizontal_network(
 
 
 def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of k directions, `starts` to `ends`, with measured length along `lines`; lengths (k,) [m]."""
+    """Indices (k,) of those directions, `starts` to `ends`, whose line has a measured length, and lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
@@ -314,10 +314,10 @@ def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends
 def lines_of_undetermined_length(
     setup: Ints, starts: Ints, end_indices: Ints, azimuths: Floats, lines: HorizontalLengths
 ) -> list[tuple[int, int]]:
-    """Lines (pairs of point indices) of undetermined length in a horizontal network whose set-ups are all oriented.
+    """Lines (pairs of point indices) whose length is undetermined in a horizontal network, for a message to the user.
 
-    The list is empty if the network is determined, and if more than one length is free. The parameters are those of
-    `fit_horizontal_network`.
+    The list is empty if the network is determined, if a set-up is not oriented, and if more than one length would have
+    to be measured. The arguments are those of `fit_horizontal_network`.
     """
     yaw = _setup_yaws(setup, starts, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup])
@@ -343,10 +343,10 @@ def lines_of_undetermined_length(
 
 
 def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
-    """Design matrix of the equations for x and y of `n_points` points, without the first point.
+    """Design matrix of the equations for x and y of `n_points` points; the first point is fixed at the origin.
 
-    Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
-    measured (indices `length_rows`). Zero rows are added so that the matrix has at least as many rows as columns.
+    Each direction gives an equation across its bearing, and directions with a measured length (indices `length_rows`)
+    a second one along the bearing. Zero rows are added so that there are at least as many rows as columns.
     """
     design = np.zeros((len(bearings) + len(length_rows), n_points, 2))
     transverse = np.stack([-np.sin(bearings), np.cos(bearings)], axis=1)
@@ -365,8 +365,8 @@ def _complex_xy_coordinates(
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
-    `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
-    Without lengths the scale is arbitrary.
+    `length_rows` are the indices of the directions with a measured length, `lengths` [m] these lengths. Without lengths
+    the scale is arbitrary.
     """
     design = _xy_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))
@@ -381,9 +381,9 @@ def _complex_xy_coordinates(
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of S set-ups relative to the first; NaN for set-ups that are not connected to the first.
+    """Yaws (S,) [rad] of S set-ups relative to the first set-up; NaN for set-ups that are not connected to it.
 
-    Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
+    Two set-ups are connected if they measured the direction of one line, from the same end or from opposite ends.
     """
     yaw = np.full(setup.max() + 1, np.nan)
     yaw[setup[0]] = 0.0

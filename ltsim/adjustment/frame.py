@@ -1,7 +1,7 @@
-"""Frame of a network from levels and known points, and list of the completely measured points of each station.
+"""Declared frame of a network (known points, levels, floor plan), and list of the measured points of each station.
 
-The list has one entry per pair of a station and a target that it measured completely. 2,000 set-ups in a tunnel that
-measure 50 targets each have 100,000 entries; an array of all stations and all targets would have 100 million.
+The list has one entry per pair of a station and a target that it measured with range and both angles: for 2,000 set-ups
+with 50 targets each 100,000 entries. An array of all stations and all targets would have 100 million.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Distance [m] of an adjusted station from its position on a floor plan, from which on the plan is ignored."""
-UNKNOWN_POINT = (np.nan, np.nan, np.nan)
-"""Coordinates of a point without declared coordinates."""
+"""Distance [m] of an adjusted station from its position on the floor plan, from which on the floor plan is ignored."""
+UNDECLARED_COORDINATES = (np.nan, np.nan, np.nan)
+"""Coordinates (NaN) of a point without declared coordinates."""
 
 
 @dataclass(frozen=True)
@@ -33,28 +33,28 @@ class DeclaredFrame:
     """
 
     declared_points: Floats
-    """Coordinates (T, 3) [m] of T targets that define the frame: known, or approximate for targets of the datum."""
+    """Coordinates (T, 3) [m] of T targets that define the frame: known ones, or approximate ones of datum targets."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of S instruments, from the declared coordinates of their marks; not for marks that are
-    targets."""
+    """Positions (S, 3) [m] of S instruments, from the declared coordinates of their marks; NaN over a mark that is a
+    target too."""
     is_levelled: Bools
     """Flags (S,), True for those of the S stations that are levelled."""
     marks: StationMarks
     """Marks under the stations."""
     floor_plan_positions: Floats
-    """Approximate positions of S stations on a floor plan, (S, 3) [m]."""
+    """Approximate positions (S, 3) [m] of S stations on the floor plan."""
     floor_plan_yaws: Floats
-    """Direction of azimuth zero of each of S stations in the floor plan, (S,) [rad]."""
+    """Declared yaws (directions of azimuth zero) of S stations, (S,) [rad], approximate or known."""
     has_declared_yaw: Bools
-    """Flags (S,), True for those of the S stations whose yaw (direction of azimuth zero) is known, not approximate."""
+    """Flags (S,), True for those of the S stations whose yaw is known with a standard deviation, not approximate."""
     approximate_points: Floats
-    """Known or approximate coordinates of T targets, (T, 3) [m]."""
+    """Known or approximate coordinates (T, 3) [m] of T targets."""
     xy_reference_points: Floats
-    """Coordinates (T, 3) [m] of those of T targets whose x and y are known, with height 0."""
+    """Known x and y of T targets with height 0, (T, 3) [m]; NaN for targets without known x and y."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
-        """Frame that the set-up of a recording declares."""
+        """Coordinates and directions that the set-up file of a recording declares."""
         marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
@@ -69,7 +69,7 @@ class DeclaredFrame:
             + marks.instrument_offsets,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
-            _points_in_metres([s.position_mm or UNKNOWN_POINT for s in setups]),
+            _points_in_metres([s.position_mm or UNDECLARED_COORDINATES for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
             _points_in_metres(
@@ -80,7 +80,7 @@ class DeclaredFrame:
 
     @property
     def has_declared_positions(self) -> bool:
-        """True if a target or station has declared coordinates that define the frame."""
+        """True if at least one target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())
             for places in (self.declared_points, self.declared_station_positions, self.xy_reference_points)
@@ -104,8 +104,9 @@ class DeclaredFrame:
     ) -> tuple[Floats, Floats] | None:
         """Rotation (3, 3) and translation (3,) [m] of a network into the declared frame; None if undetermined.
 
-        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `heading_rotation` (3, 3) the
-        subsequent rotation about the vertical that brings stations to their known yaws.
+        `position` (S, 3) [m] and `points` (T, 3) [m] are the S stations and T targets of the network.
+        `levelling_rotation` (3, 3) makes levelled stations upright; `heading_rotation` (3, 3) is a subsequent rotation
+        about the vertical, to the known yaws of stations.
         """
         here, there = self.network_and_declared_points(position, points)
         if len(here) >= 3 and not are_collinear(there):
@@ -126,10 +127,11 @@ class DeclaredFrame:
         return rotation @ levelling_rotation, np.array([*translation[:2], height])
 
     def motion_to_floor_plan(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
-        """Rotation about the vertical (3, 3) and translation (3,) [m] of a free network to the floor plan.
+        """Rotation about z (3, 3) and translation (3,) [m] of a network without known points to the floor plan.
 
-        They follow from the planned positions of two or more stations, or from position and yaw of one station. The
-        result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
+        They follow from positions of two or more stations on the floor plan, or from position and yaw of one station.
+        The result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or
+        more. `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the S stations in the network.
         """
         planned_indices = np.flatnonzero(
             np.isfinite(self.floor_plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
@@ -150,8 +152,9 @@ class DeclaredFrame:
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
 
-        Ranges do not determine the handedness of the k network points (k, 3) [m]. Declared points (k, 3) [m], NaN if
-        not declared, determine the handedness unless they are coplanar; then the result is None.
+        Ranges alone do not distinguish the network from its mirror image. `declared_points` (k, 3) [m], NaN if not
+        declared, of the k `network_points` (k, 3) [m] show if it is mirrored, unless they are coplanar; then the result
+        is None.
         """
         has_place = np.isfinite(declared_points).all(axis=1)
         network_points, declared_points = network_points[has_place], declared_points[has_place]
@@ -169,7 +172,7 @@ class DeclaredFrame:
         return both[int(np.argmin(rests))]
 
     def resolves_mirror(self, position: Floats, points: Floats) -> bool:
-        """True if approximate coordinates distinguish a network of ranges from its mirror image.
+        """True if declared coordinates distinguish a network of ranges alone from its mirror image.
 
         The network has S stations at `position` (S, 3) [m] and T targets at `points` (T, 3) [m].
         """
@@ -183,11 +186,11 @@ class DeclaredFrame:
     def place_range_network(
         self, stations: Ints, position: Floats, targets: Ints, points: Floats
     ) -> tuple[Floats, bool]:
-        """Targets (t, 3) [m] of a network of ranges, s stations and t targets, in the frame of the approximate points.
+        """Targets (t, 3) [m] of a network of ranges alone, moved to approximate coordinates, and a flag.
 
-        The handedness too is that of the approximate points. The second element is True if the targets are in this
-        frame, which requires three approximate points that are not collinear. `stations` and `targets` are indices;
-        `position` (s, 3), `points` (t, 3) [m] their coordinates.
+        If the network is a mirror image, it is mirrored first. The flag is True if the targets are in the frame of the
+        approximate coordinates, which requires three points that are not collinear. `stations` and `targets` are the
+        indices of s stations and t targets, `position` (s, 3) and `points` (t, 3) [m] their coordinates.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -203,15 +206,16 @@ class DeclaredFrame:
         return points @ rotation.T + shift, True
 
     def agrees_with_floor_plan(self, position: Floats, rotation: Floats) -> bool:
-        """True if a network lies on the floor plan: its motion to the floor plan is less than `MAX_FLOOR_PLAN_ERROR`.
+        """True if all stations of a network are nearer than `MAX_FLOOR_PLAN_ERROR` to their places on the floor plan.
 
-        `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the S stations.
+        The places are those after the best motion of the network to the floor plan. `position` (S, 3) [m] and
+        `rotation` (S, 3, 3) are the poses of the S stations.
         """
         motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
     def rotation_to_declared_yaws(self, rotation: Floats, is_joined_station: Bools) -> Floats | None:
-        """Rotation (3, 3) about z that brings upright stations to known yaws; None if no joined station has one."""
+        """Rotation (3, 3) about z from upright joined stations to their known yaws; None if no yaw is known."""
         mask = self.has_declared_yaw & is_joined_station
         if not mask.any():
             return None
@@ -220,7 +224,7 @@ class DeclaredFrame:
         return rotation_about_z(float(np.angle(np.sum(np.exp(1j * turns)))))
 
     def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
-        """Smallest rotation (3, 3) that brings the axes of levelled joined stations to their plumb lines."""
+        """Smallest rotation (3, 3) from the mean standing axis of levelled joined stations to their mean plumb line."""
         mask = self.is_levelled & is_joined_station
         if not mask.any():
             return np.eye(3)
@@ -230,7 +234,7 @@ class DeclaredFrame:
 
 
 def _mark_coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
-    """Coordinates [mm] by name, of known marks and of marks that known differences connect to known marks."""
+    """Coordinates [mm] by name: of known marks, and of marks that known differences connect to known marks."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
         name: target.known_mm
@@ -252,22 +256,22 @@ def _mark_coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ..
 
 
 def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only: bool = True) -> tuple[float, ...]:
-    """Known coordinates [mm] of a target, otherwise its approximate coordinates.
+    """Known coordinates [mm] of the target `name`, otherwise its approximate coordinates, otherwise NaN.
 
-    With `datum_targets_only` approximate coordinates are used only for targets of the datum.
+    With `datum_targets_only`, approximate coordinates are used only for targets of the datum.
     """
     target = recording.target_setup(name) if name else None
     if target is None:
-        return UNKNOWN_POINT
+        return UNDECLARED_COORDINATES
     if target.known_mm is not None and target.known_axes == "xyz":
         return target.known_mm
-    return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNKNOWN_POINT
+    return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNDECLARED_COORDINATES
 
 
 def _xy_reference_coordinates(target: Target) -> tuple[float, ...]:
-    """Coordinates [mm] of a target with known x and y, with height 0; NaN for other targets."""
+    """Known x and y of a target, with height 0 [mm]; NaN for a target without known x and y."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
-        return UNKNOWN_POINT
+        return UNDECLARED_COORDINATES
     return *target.known_mm[:2], 0.0
 
 
@@ -282,18 +286,18 @@ def _rms_distance_from_plane(points: Floats) -> float:
 
 
 def are_collinear(points: Floats) -> bool:
-    """True if k points (k, 3) are collinear: extent across the best-fit line at most 0.1 % of the extent along it."""
+    """True if k points (k, 3) are collinear: extent across the best-fit line is at most 0.1 % of that along it."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
 def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (k,) [m] of k points (k, 3) from their goals after a motion: rotation (3, 3), translation (3,)."""
+    """Distances (k,) [m] of points (k, 3) from their goals after `motion`: rotation (3, 3), translation (3,)."""
     return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goal_points, axis=1))
 
 
 def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
-    """Rotation about the vertical (3, 3) and translation (3,) [m] that align k points `source` (k, 3) to their goals.
+    """Rotation about z (3, 3) and translation (3,) [m] that align k points `source` (k, 3) to `goal_points` (k, 3).
 
     Raises NetworkError if all points lie on one vertical line.
     """
@@ -307,7 +311,7 @@ def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floa
 
 @dataclass(frozen=True)
 class StationTargetPairs:
-    """List of the m pairs of a station and a target that it measured completely, in the order of the stations."""
+    """List of the m pairs of a station and a target that it measured with range and both angles, station by station."""
 
     station_indices: Ints
     """Index of the station of each of m pairs, (m,)."""
@@ -316,18 +320,19 @@ class StationTargetPairs:
     local_points: Floats
     """Coordinates of the target of each of m pairs in the frame of its station, (m, 3) [m]."""
     first_pair_of_station: Ints
-    """Index of the first pair of each of S stations, and the number of pairs at the end, (S + 1,)."""
+    """Index of the first pair of each of S stations, followed by the number of pairs, (S + 1,)."""
     pair_order_by_target: Ints
     """Indices of the m pairs in the order of their targets, (m,)."""
     first_pair_of_target: Ints
-    """Index in `pair_order_by_target` of the first pair of each of T targets, and the number of pairs, (T + 1,)."""
+    """Index in `pair_order_by_target` of the first pair of each of T targets, followed by the number of pairs, (T +
+    1,)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
-        """Pairs of a recording; the point of a pair is the median over faces and repeats, which resists a blunder.
+        """Pairs of a recording; the point of a pair is the median over faces and repeats, to be robust to a blunder.
 
-        `points` (n, 3) [m] are the points measured by the n pointings in the instrument frame, by default those of an
-        ideal tracker.
+        `points` (n, 3) [m] are the measured points of n pointings in the instrument frame, by default computed from the
+        readings without correction.
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
@@ -350,11 +355,11 @@ class StationTargetPairs:
         return len(self.station_indices)
 
     def pair_slice_of_station(self, station: int) -> slice:
-        """Slice of the pairs of the station with this index."""
+        """Slice of the pairs of the station with the index `station`."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def last_values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
-        """Values (m, 3) of m pairs: for each pair that of its last pointing, from values (n, 3) of n pointings."""
+        """Values (m, 3) of m pairs, each that of the last pointing of the pair, from `pointing_values` (n, 3)."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         pair_keys = recording.station * len(recording.targets) + recording.target
@@ -363,7 +368,7 @@ class StationTargetPairs:
         return by_pair
 
     def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
-        """Medians (k, 3), for k targets, of the values (m, 3) of the m pairs by target; NaN if all values are NaN."""
+        """Medians (k, 3) of `pair_values` (m, 3) over the pairs of each of k `targets`; NaN if all are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
@@ -374,7 +379,7 @@ class StationTargetPairs:
 
 
 def _nan_median(values: Floats) -> Floats:
-    """Medians (t, 3) of the k values of each of t targets, (t, k, 3), without NaN; NaN if all values are NaN."""
+    """Medians (t, 3) over axis 1 of `values` (t, k, 3), ignoring NaN; NaN if all values are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     sorted_values = np.sort(values, axis=1)
@@ -384,7 +389,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
-    """Points (n, 3) [m] of n pointings, with horizontal converted to slope distances; None without horizontal ones."""
+    """Points (n, 3) [m] of n pointings, from slope instead of horizontal distances; None without horizontal ones."""
     is_horizontal_distance = recording.is_horizontal_distance
     if not is_horizontal_distance.any():
         return None

@@ -1,4 +1,4 @@
-"""Marks under the set-ups of a recording, and the positions of set-ups that they imply."""
+"""Marks (points on the floor) under the set-ups of a recording, and positions of set-ups that follow from them."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ class StationMarks:
     """Marks under the S set-ups of a recording."""
 
     target_indices: Ints
-    """Index of the target under each of S set-ups, -1 for none, (S,)."""
+    """Index (S,) of the target that is the mark under each of S set-ups; -1 if its mark is no target or it has none."""
     first_setup_on_mark: Ints
-    """Index of the first set-up over the mark of each of S set-ups, (S,); index of the set-up itself if its mark is a
+    """Index (S,) of the first set-up over the mark of each of S set-ups; index of the set-up itself if its mark is a
     target or if it is not over a mark."""
     mark_names: tuple[str, ...]
-    """Name of the mark under each set-up, '' for none."""
+    """Name of the mark under each set-up, '' for a set-up without a mark."""
     plumb_directions: Floats
-    """Unit vector of the plumb line at each of S set-ups, upward, (S, 3)."""
+    """Upward unit vectors (S, 3) of the plumb lines at S set-ups."""
     instrument_offsets: Floats
-    """Vector from the mark to the instrument at each of S set-ups, (S, 3) [m]."""
+    """Vectors (S, 3) [m] from mark to instrument at S set-ups; zero without a mark."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
-        """Marks of a recording; raises NetworkError for a set-up that measures the target at its own position."""
+        """Marks under the set-ups of a recording; raises NetworkError if a set-up measures its mark at equal height."""
         places = {name: i for i, name in enumerate(recording.targets)}
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
@@ -44,10 +44,10 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up, derived from the position of its mark; NaN if the mark has no coordinates.
+        """Position (3,) [m] of a set-up, derived from the coordinates of its mark; NaN if the mark has none.
 
-        The coordinates of the mark are those of one of T targets, `points` (T, 3) [m], or follow from another of S
-        set-ups over the same mark, `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
+        The mark is one of T targets, with coordinates `points` (T, 3) [m], or its coordinates follow from another of S
+        set-ups over the same mark, with positions `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
         """
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
@@ -57,10 +57,11 @@ class StationMarks:
         return next(positions, np.full(3, np.nan))
 
     def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
-        """Positions (S, 3) [m] of S set-ups that are consistent with their marks.
+        """Positions (S, 3) [m] of S set-ups, made consistent with their marks.
 
-        The position of a set-up over a target follows from the T target coordinates `points` (T, 3) [m], that of
-        another set-up over a mark from `position` (S, 3) [m] of the first set-up over the same mark.
+        A set-up over a target gets its position from the target coordinates `points` (T, 3) [m]. A set-up over another
+        mark gets it from the position of the first set-up over this mark, in `position` (S, 3) [m]. Other set-ups keep
+        `position`.
         """
         mark_positions = (
             position[self.first_setup_on_mark]
@@ -75,9 +76,9 @@ class StationMarks:
 
 
 def _require_height_above_sighted_marks(recording: Recording, mark_targets: Ints) -> None:
-    """Check that no set-up measures the target under it from the same height; raises NetworkError.
+    """Check that no set-up measures the mark under it at its own height; raises NetworkError.
 
-    `mark_targets` (S,) are the indices of the targets under the S set-ups, -1 for none.
+    `mark_targets` (S,) are the indices of the targets that are marks under the S set-ups, -1 for none.
     """
     is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
     for row in np.flatnonzero(is_at_mark).tolist():
@@ -85,6 +86,6 @@ def _require_height_above_sighted_marks(recording: Recording, mark_targets: Ints
         height = recording.station_setup(station).instrument_height_mm
         if height == recording.target_setup(target).height_mm:
             raise NetworkError(
-                f"row {row + 1}: station {station} stands over target {target} and measures it; "
-                "declare its instrument height or remove the row"
+                f"row {row + 1}: station {station} stands over target {target} and measures it, but both have the same "
+                "height; declare the instrument height of the station or remove the row"
             )

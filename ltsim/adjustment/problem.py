@@ -1,4 +1,4 @@
-"""Least-squares problem of a network adjustment: whitened residuals and design matrix of a recording."""
+"""Least-squares problem of a network adjustment: whitened residuals and design matrix from a recording."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Pred
 from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, SparsityPattern, to_dense
 from ltsim.solve.elimination import BlockSystem
 
-DATUM_SIGMA = np.full(6, 1e-8)
-"""Standard deviations [m, rad] of the constraints that define the datum. They do not influence the adjusted shape. For
-correct covariances they must be far below the standard deviations of the network; smaller values would cause rounding
-errors.
+DATUM_CONSTRAINT_SIGMAS = np.full(6, 1e-8)
+"""Standard deviations (6,) [m, rad] of the equations that fix the pose of a station as datum. They do not influence the
+adjusted shape. For correct covariances they are far below the standard deviations of the network; even smaller values
+would cause rounding errors.
 """
-WEAK_PRIOR_FACTOR = 300.0
-"""Standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of the
-parameter."""
+WEAK_EFFECT_PRIOR_FACTOR = 300.0
+"""Default standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of
+the parameter."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,16 @@ class NetworkProblem(NetworkRows):
     unknowns, priors of the instrument parameters, weak priors of the additional effects, datum.
     """
 
-    sigma: Floats
+    reading_sigmas: Floats
     """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     effect_prior_sigmas: Floats
-    """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite for none."""
+    """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite: no
+    prior."""
     free_motions: Floats
-    """Rigid motions that only the datum fixes, (6, f): translation [m] and rotation [rad] of each of f motions."""
+    """Rigid motions (6, f) that no observation determines, so that the datum fixes them: f translations [m] and
+    rotations [rad]."""
 
     @classmethod
     def from_model(
@@ -64,10 +66,10 @@ class NetworkProblem(NetworkRows):
         *,
         sigma: Floats | None = None,
         reading_mask: Bools | None = None,
-        effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
+        effect_prior_sigma: float = WEAK_EFFECT_PRIOR_FACTOR,
         prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
-        """Problem of a measurement model, with the reference values of its recording.
+        """Least-squares problem of a measurement model, with the reference values of its recording.
 
         `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings of n pointings, by default the declared
         ones, and `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak
@@ -88,7 +90,7 @@ class NetworkProblem(NetworkRows):
         effect_sigmas += [size for errors in model.nuisance_errors for size in errors.plausible_sizes]
         return cls(
             model=model,
-            sigma=recording.reading_sigmas() if sigma is None else sigma,
+            reading_sigmas=recording.reading_sigmas() if sigma is None else sigma,
             prior=prior or ParameterPrior.from_sigmas(prior_sigmas(recording, model.construction)),
             effect_prior_sigmas=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
@@ -106,7 +108,7 @@ class NetworkProblem(NetworkRows):
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
         """Problem with another measurement model of the same pointings; reference values and weights are unchanged."""
         new_problem = NetworkProblem.from_model(
-            model, sigma=self.sigma, reading_mask=self.is_used_reading, prior=self.prior
+            model, sigma=self.reading_sigmas, reading_mask=self.is_used_reading, prior=self.prior
         )
         differences = new_problem.difference_rows.subset(
             np.isin(new_problem.difference_rows.names, self.difference_rows.names)
@@ -116,11 +118,11 @@ class NetworkProblem(NetworkRows):
     def with_instrument_constants(
         self, state: NetworkState, *, requires_length: bool = True
     ) -> tuple[NetworkProblem, NetworkState]:
-        """Problem and state with the instrument parameters and their priors as unknowns, for tests of reference values.
+        """Problem and state with the instrument parameters as unknowns with priors, for tests of reference values.
 
-        The unknown zero and scale of the distances make the error of a reference length uncertain, also if the network
-        is adjusted without instrument parameters. Problem and state are unchanged if they contain such parameters, or
-        with `requires_length` if there is no reference length.
+        The unknown zero and scale of the distances make the test of a reference length uncertain, also if the network
+        is adjusted without instrument parameters. Problem and state are returned unchanged if they contain instrument
+        parameters, or if `requires_length` is True and there is no reference length.
         """
         recording = self.model.recording
         if (requires_length and not len(self.gauge_rows)) or self.model.construction.n_parameters:
@@ -135,19 +137,20 @@ class NetworkProblem(NetworkRows):
         return problem, replace(state, instrument_parameters=parameters)
 
     def with_positions_of_model(self, model: MeasurementModel) -> NetworkProblem:
-        """Copy of the problem with the station and target positions of `model`.
+        """Copy of the problem for the measurement model `model` of a plan with other station and target positions.
 
-        The set-up and the pointings of `model` are the same; the order of the pointings may differ.
+        The set-up and the pointings of `model` are the same; the order of the pointings may differ. Only the
+        undetermined unknowns, and if possible the sparsity pattern, are reused.
         """
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
-        moved = replace(moved, sigma=theirs.reading_sigmas())
+        moved = replace(moved, reading_sigmas=theirs.reading_sigmas())
         vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(moved)["_sparsity_pattern"] = self._sparsity_pattern
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
-        """Flags (k,), True for those of the k known differences with an undetermined end, which give no information.
+        """Flags (k,), True for those of the k known differences that have an undetermined end and no influence.
 
         An end is undetermined if it is an undetermined target or a station without readings, or if its height is
         undetermined and part of the difference. `is_undetermined_target` (T,) has a flag for each of T targets.
@@ -164,21 +167,21 @@ class NetworkProblem(NetworkRows):
         return np.asarray(is_undetermined | (open_ & self.difference_rows.is_declared_coordinate[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
-        """Observed minus predicted `readings` (n, 3) [m, rad, rad] of n pointings; NaN if not measured.
+        """Observed minus predicted readings (n, 3) [m, rad, rad] of n pointings; NaN if not measured.
 
-        Angles are within +-180 deg.
+        `readings` (n, 3) are the predicted readings. Differences of angles are reduced to +-180 deg.
         """
         gap = self.model.recording.readings - readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
 
     def whitened_residuals(self, state: NetworkState) -> Floats:
-        """Whitened residuals (m,) of all m equations at a state."""
+        """Whitened residuals (m,) of all m equations at the values `state` of the unknowns."""
         return self._whitened_residuals_of(state, self.model.predict(state))
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
-        """Whitened residuals (m,) of all m equations at a state, with predicted `readings` of n pointings (n, 3)."""
-        pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
+        """Whitened residuals (m,) of all m equations at a state; `readings` (n, 3) are the predicted readings."""
+        pointings = (self.reading_residuals(readings) / self.reading_sigmas)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.point_indices])
         marks = self.control_rows_of_marks.whitened_residuals(
@@ -187,8 +190,8 @@ class NetworkProblem(NetworkRows):
         differences = self.difference_rows.whitened_residuals(
             self.difference_rows.predict(state.target_points, state.station_positions)
         )
-        levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.sigma[:, None]
-        yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
+        levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.tilt_sigmas[:, None]
+        yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.yaw_sigmas
         fixed_residuals = np.zeros(self.undetermined_unknowns.n_fixing_equations)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
         effect_residuals = -(state.extra_parameters / self.effect_prior_sigmas)[np.isfinite(self.effect_prior_sigmas)]
@@ -205,7 +208,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
-        """State after a step (u,) of all u unknowns."""
+        """Network state after a `step` (u,) of all u unknowns from `state`."""
         unknowns = self.unknowns
         return state.with_increments(
             step[unknowns.pose_columns],
@@ -215,7 +218,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
-        """Linearised problem at a state: whitened residuals and design matrix."""
+        """Linearised problem at the values `state` of the unknowns: whitened residuals and design matrix."""
         return self.linear_system(state, self.model.linearise(state))
 
     def linear_system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:
@@ -225,13 +228,13 @@ class NetworkProblem(NetworkRows):
             self._whitened_derivatives(state, prediction),
         )
         del prediction  # the prediction takes as much memory as the design matrix
-        design = self._sparsity_pattern.fill(values)
+        design = self._sparsity_pattern.make_design_matrix(values)
         if self.gauge_rows.correlation_cholesky_factor is not None:
             design = self._decorrelate_lengths(design)
         return BlockSystem(design, residual, self.unknowns.n_retained)
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
-        """Design matrix in which the rows of reference lengths with shared errors are decorrelated."""
+        """Design matrix in which the rows of reference lengths, which may share errors, are decorrelated."""
         first_length_row = int(self.is_used_reading.sum())
         end_row = first_length_row + len(self.gauge_rows)
         lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first_length_row:end_row]))
@@ -241,11 +244,11 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def _sparsity_pattern(self) -> SparsityPattern:
-        """Sparsity pattern of the design matrix, common to all states."""
+        """Sparsity pattern of the design matrix, the same for all states of the network."""
         return SparsityPattern(self._columns_by_row_kind(), self.unknowns.n_columns)
 
     def _columns_by_row_kind(self) -> list[Ints]:
-        """Column indices of nonzero elements of the design: one array (equations, elements) per kind of equation."""
+        """Column indices of nonzero elements of the design matrix: an array (equations, elements) per equation kind."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge_rows
         blocks = (
             at.pose_columns[recording.station],
@@ -286,17 +289,17 @@ class NetworkProblem(NetworkRows):
         ]
 
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the whitened design by kind of equation, in the order of `_columns_by_row_kind`."""
+        """Nonzero elements of the whitened design matrix by equation kind, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
-        direction = self.gauge_rows.unit_vectors(state.target_points)
+        direction = self.gauge_rows.line_directions(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
         yield gauge / self.gauge_rows.total_sigmas[:, None]
         yield self.control_rows.derivatives()
         yield self.control_rows_of_marks.derivatives()
         yield self.difference_rows.derivatives()
-        yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.sigma[:, None, None]
-        yield self.yaw_rows.derivative(state.station_rotations) / self.yaw_rows.sigma[:, None]
-        yield self.undetermined_unknowns.fixing_coefficients(state) / DATUM_SIGMA[0]
+        yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.tilt_sigmas[:, None, None]
+        yield self.yaw_rows.yaw_derivatives(state.station_rotations) / self.yaw_rows.yaw_sigmas[:, None]
+        yield self.undetermined_unknowns.fixing_coefficients(state) / DATUM_CONSTRAINT_SIGMAS[0]
         yield (
             self.prior.whitening_matrices
             if self.prior.has_correlations
@@ -306,7 +309,7 @@ class NetworkProblem(NetworkRows):
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the design matrix for the readings in use, in batches that limit the memory."""
+        """Nonzero elements of the whitened design matrix for the readings in use, in batches to limit the memory."""
         derivatives = [
             prediction.pose_derivatives,
             prediction.target_derivatives,
@@ -321,10 +324,10 @@ class NetworkProblem(NetworkRows):
             if held.any():  # only its prior determines a fixed parameter, which therefore stays at its mean
                 parts[2] = np.where(held[piece], 0.0, parts[2])
             use = self.is_used_reading[piece]
-            yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
+            yield np.concatenate(parts, axis=2)[use] / self.reading_sigmas[piece][use][:, None]
 
     def _prior_row_columns(self) -> Ints:
-        """Column indices (m, 1) of the m equations of the prior, or (m, p) if the p parameters are correlated."""
+        """Column indices (m, 1) of the m equations of the prior, or (m, p) if its p parameters are correlated."""
         columns = self.unknowns.instrument_columns
         if self.prior.has_correlations:
             return np.repeat(columns, columns.shape[1], axis=0)
@@ -337,8 +340,10 @@ class NetworkProblem(NetworkRows):
         return np.hstack([np.zeros((len(self.gauge_rows), 0)), *columns])
 
     def _datum_rows(self, state: NetworkState) -> Floats:
-        """Whitened equations (f, 6 a) that fix the f free rigid motions at the a `datum_stations`."""
-        return self.datum_directions(state) / np.tile(DATUM_SIGMA, len(self.undetermined_unknowns.datum_stations))
+        """Coefficients (f, 6 a) of whitened equations that fix the f free rigid motions at the a `datum_stations`."""
+        return self.datum_directions(state) / np.tile(
+            DATUM_CONSTRAINT_SIGMAS, len(self.undetermined_unknowns.datum_stations)
+        )
 
     def datum_directions(self, state: NetworkState) -> Floats:
         """Changes (f, 6 a) of the poses of the a `datum_stations` by the f free motions, which the datum fixes."""
@@ -354,7 +359,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_row_slice(self) -> slice:
-        """Slice of the equations of the levels, two per level."""
+        """Slice of the equations of the levels in the list of all equations, two per level."""
         first_level_row = (
             int(self.is_used_reading.sum())
             + len(self.gauge_rows)
@@ -368,7 +373,7 @@ class NetworkProblem(NetworkRows):
     def dof(self) -> int:
         """Degrees of freedom: number of observations and priors minus number of unknowns.
 
-        Weak priors do not count as observations, free rigid motions do not count as unknowns.
+        Weak priors of additional effects do not count as observations, free rigid motions do not count as unknowns.
         """
         n_priors = int(np.isfinite(self.prior.sigma).sum())
         n_lengths = int(np.isfinite(self.gauge_rows.total_sigmas).sum())

@@ -1,4 +1,4 @@
-"""Quality of an adjusted network: checks that refuse an unusable adjustment, and warnings that precede all results."""
+"""Quality of an adjusted network: checks that refuse an unusable adjustment, and warnings for the user."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.axes import MAX_RELATIVE_MISCLOSURE
+from ltsim.adjustment.axes import MAX_RELATIVE_POINT_MISCLOSURE
 from ltsim.adjustment.blunders import correct_units, detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
@@ -24,28 +24,29 @@ from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import MAX_LISTED_SENTENCES, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_AND_CONVENTION_ERRORS, WrongColumnConversion
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Largest sigma0 at which the observations count as consistent. Above it other units are tried, and the standard
-deviations are reported as not valid."""
+"""Largest sigma0 at which the observations count as consistent. Above it other units are tried, and a warning states
+that standard deviations are not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
-"""Smallest cosine of the median tilt of the stations at which the network is compared with approximate positions."""
+"""Smallest cosine of the median tilt of the stations, at which their positions are compared with the floor plan."""
 MAX_POSE_CURVATURE = 0.3
-"""Largest curvature of a pose (Bates and Watts), in standard deviations of a reading, at which its linearised standard
-deviations are valid. For a larger curvature they are reported as too small.
+"""Largest nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in standard
+deviations of a reading) at which the standard deviations of the pose are valid. Above it they are reported as too
+small.
 """
 TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     WrongColumnConversion("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
 )
-"""Errors of unit or convention that are tested for a whole file. Corrections that shrink lengths are not among them,
-because any shrunk network seems to fit."""
+"""Errors of unit or convention that are tested for a whole file. Errors whose correction shrinks lengths are not among
+them, because any shrunk network seems to fit."""
 
 
 def require_usable_adjustment(adjustment: Adjustment) -> None:
-    """Check that an adjustment is usable: units and known points are consistent, and most pointings are in use.
+    """Check that an adjustment is usable: it converged, units and known points are consistent, most pointings are used.
 
     Raises NetworkError for inconsistent observations, and ConvergenceError if the adjustment has no solution.
     """
@@ -58,9 +59,9 @@ def require_usable_adjustment(adjustment: Adjustment) -> None:
         _consistent_unit_text(adjustment) if is_mostly_unused or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
     )
     if is_mostly_unused or unit_text:
-        out = f"{is_unused.sum()} of {len(is_unused)} pointings would be left out"
+        out = f"{is_unused.sum()} of {len(is_unused)} pointings would be rejected"
         what = out if is_mostly_unused else f"sigma0 is {adjustment.sigma0:.3g}"
-        cure = f"they fit as {unit_text}" if unit_text else "check their units, the sense of the angles and the names"
+        cure = f"they fit as {unit_text}" if unit_text else "check units, sense of the angles and target names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
 
 
@@ -71,11 +72,11 @@ def _require_consistent_units(adjustment: Adjustment) -> None:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
         if sentences:
             first_sentences = "; ".join(sentences[:MAX_LISTED_SENTENCES])
-            raise NetworkError(f"{first_sentences}: read the recording again in that unit or convention")
+            raise NetworkError(f"{first_sentences}: read the recording again with this unit or convention")
 
 
 def _require_consistent_control(adjustment: Adjustment) -> None:
-    """Check that the known points are not the cause of all contradictions; raises NetworkError."""
+    """Check that the known points are not the only cause of a large misfit; raises NetworkError."""
     control, recording = adjustment.problem.control_rows, adjustment.recording
     if not (adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 and len(control)):
         return
@@ -97,21 +98,21 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
 
 
 def _control_error_cause_text(network_points: Floats, control_points: Floats) -> str:
-    """Text on the usual cause of differences of k control points (k, 3) [m] from network points (k, 3) [m].
+    """Text on the likely cause of differences between k control points (k, 3) [m] and network points (k, 3) [m].
 
-    The cause is another scale, a mirror image, equal coordinates, or single wrong points.
+    Possible causes are another scale, a mirror image, equal coordinates, and single wrong points.
     """
     spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (network_points, control_points)]
     if len(network_points) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
     if spread[1] < 1e-6 * spread[0]:
-        return "all of these points have the same coordinates"
+        return "all known points have the same coordinates"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
     misfit_by_text = {
-        f"they fit if multiplied by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
+        f"they fit if their coordinates are multiplied by {1 / scale:.6g}; check the unit": _rigid_fit_misfit(
             network_points * scale, control_points
         ),
-        f"they fit mirrored; {mirrored}": _rigid_fit_misfit(-network_points, control_points),
+        f"they fit the mirror image; {mirrored}": _rigid_fit_misfit(-network_points, control_points),
     }
     best_way = min(misfit_by_text, key=lambda way: misfit_by_text[way])
     return (
@@ -130,7 +131,7 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
 
 
 def _is_unused_pointing(adjustment: Adjustment) -> Bools:
-    """Flags (m,), True for those of the m measured pointings of which no reading is in use."""
+    """Flags (m,), True for those of the m measured pointings without any reading in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
         adjustment.problem.is_used_reading.any(axis=1),
@@ -139,7 +140,7 @@ def _is_unused_pointing(adjustment: Adjustment) -> Bools:
 
 
 def _consistent_unit_text(adjustment: Adjustment) -> str:
-    """Unit that makes the readings consistent, as text such as `gon, not degrees`; empty if no unit does."""
+    """Text on the unit that makes the readings consistent, such as `gon, not degrees`; empty if no unit does."""
     recording, most = adjustment.recording, MAX_CONSISTENT_SIGMA0
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         most = adjustment.sigma0 / MIN_MISFIT_RATIO
@@ -161,7 +162,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
 
 
 def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Warnings on an adjustment: contradictions, blunders, stations with few readings, invalid standard deviations."""
+    """Warnings for the user on an adjustment: contradictions, blunders, stations with few readings, invalid sigmas."""
     slips = _undecided_target_sentences, _blunder_sentences, _duplicate_target_sentences, _centring_sentences
     kinds = (
         _cause_sentences,
@@ -177,7 +178,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Warnings on the network as a whole, without warnings on single reference values or blunders."""
+    """Warnings for the user on the network as a whole, without warnings on single reference values or blunders."""
     kinds = (
         _declared_position_sentences,
         _undecided_target_sentences,
@@ -204,15 +205,15 @@ def _cause_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on stations that move while they measure."""
+    """Sentences on estimated motions of stations during their occupation."""
     yield from () if adjustment.cause_sentences else (sentence for _, sentence in motion_sentences(adjustment))
 
 
 def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on declared positions of upright stations that do not fit the network, or fit its mirror image."""
+    """Sentence on positions of stations on a floor plan that do not fit the network, or fit its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
     planned_indices = np.flatnonzero(np.isfinite(frame.floor_plan_positions).all(axis=1))
-    if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
+    if len(planned_indices) < MIN_POINTS_FOR_POSE or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
     here, there = (
         state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
@@ -225,7 +226,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
         float(alignment_distances(places, there, upright_alignment(places, there)).max())
         for places in (here, here * [1.0, -1.0, 1.0])
     )
-    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_MISCLOSURE * extent):
+    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_POINT_MISCLOSURE * extent):
         return
     names = names_text([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
@@ -242,7 +243,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets whose positions from two stations differ, so that pointings of one or both were rejected."""
+    """Sentences on targets whose positions from two stations differ; the pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):
@@ -265,13 +266,13 @@ def _blunder_sentences(adjustment: Adjustment) -> Iterator[str]:
             f"; {len(sentences) - MAX_LISTED_SENTENCES} more blunders" if len(sentences) > MAX_LISTED_SENTENCES else ""
         )
         shown_ones = "; ".join(sentences[:MAX_LISTED_SENTENCES])
-        yield f"{shown_ones}{more}: these pointings are not used; ltsim diagnose corrects them"
+        yield f"{shown_ones}{more}: these pointings are not used; run ltsim diagnose to correct them"
 
 
 def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on pairs of targets that may be one target under two names.
+    """Sentences on pairs of targets that may be one target with two names.
 
-    Both targets of a pair have the same position, and no set-up measures both.
+    The targets of such a pair have the same position, and no set-up measures both.
     """
     recording, points = adjustment.recording, adjustment.state.target_points
     is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
@@ -283,11 +284,11 @@ def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
         if not (is_sighted[first] & is_sighted[second]).any():
             gap = float(np.linalg.norm(points[first] - points[second])) / MILLIMETRE
             names = f"{recording.targets[first]} and {recording.targets[second]}"
-            yield f"{names} are {gap:.2g} mm apart and no set-up measures both: they may be one target under two names"
+            yield f"{names} are {gap:.2g} mm apart and no set-up measures both: they may be one target with two names"
 
 
 def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentence on centring errors of repeatedly occupied marks, if there are any."""
+    """Sentence on centring errors at marks that were occupied on several days, if there are any."""
     centring_errors = estimate_centring_errors(adjustment)
     if centring_errors is not None:
         yield centring_errors.sentence
@@ -307,7 +308,7 @@ def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on standard deviations that are missing, too small (nonlinear poses), or not valid (large sigma0)."""
+    """Sentences on standard deviations that are missing, too small (nonlinear pose), or not valid (large sigma0)."""
     if adjustment.undetermined_stations:
         yield (
             "the readings in use do not determine the full pose of station "
@@ -340,8 +341,8 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
 
     A covariance is valid if the readings are linear over one standard deviation of the unknowns. The pose of a station
     whose targets are nearly collinear, or close together and far away, may be too uncertain for this. With f the
-    whitened readings, x the state and v a change of the state by one standard deviation in this direction, the
-    curvature is |f(x + v) - 2 f(x) + f(x - v)| / 2. It is zero for a well-determined pose and NaN for a fixed pose.
+    whitened readings, x the state, and v a change of x by one standard deviation in the least determined direction, the
+    curvature is |f(x + v) - 2 f(x) + f(x - v)| / 2. It is zero for a well-determined and NaN for an undetermined pose.
 
     References
     ----------
@@ -350,7 +351,7 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     """
     problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
     range_, station = adjustment.sightings.range_, adjustment.recording.station
-    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    sigma_lengths = problem.reading_sigmas * np.stack([np.ones_like(range_), range_, range_], axis=1)
     min_sigmas = np.min(np.where(problem.is_used_reading, sigma_lengths, np.inf), axis=1)
     steepest, has_readings = np.zeros(len(spread)), np.isfinite(min_sigmas)
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
@@ -368,5 +369,5 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
         gaps = [gap - problem.model.predict(state) for gap in gaps]
         for gap in gaps:
             gap[:, 1:] = wrap_angle(gap[:, 1:])
-        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.is_used_reading]))
+        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.reading_sigmas)[problem.is_used_reading]))
     return bend

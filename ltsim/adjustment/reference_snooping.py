@@ -1,8 +1,7 @@
 """Data snooping of reference values: contradicting coordinates, lengths, levels and azimuths are excluded.
 
 A wrong reference value biases the residuals of all readings that it constrains. Reference values are therefore tested
-before single readings. Of all hypotheses that one reference value is wrong, the hypothesis with the smallest p-value is
-accepted first.
+before single readings. The reference value with the smallest p-value is excluded first.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -26,7 +25,7 @@ from ltsim.adjustment.reference_values import (
     with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import (
-    critical_w,
+    critical_normalised_residual,
     level_of_single_test,
     neg_log_p_chi2,
     noise_factor,
@@ -36,8 +35,8 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
-    MIN_CLEAR_SIGMAS,
-    MIN_GROSS_SIGMAS,
+    MIN_CERTAIN_ERROR_SIGMAS,
+    MIN_GROSS_ERROR_SIGMAS,
     MIN_REPORTED_PROBABILITY,
 )
 from ltsim.adjustment.snooping import snoop_readings
@@ -45,18 +44,18 @@ from ltsim.core.arrays import Bools
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
-MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
-"""Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
-larger residual."""
+MIN_TESTED_WHITENED_RESIDUAL = MIN_CERTAIN_ERROR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+"""Smallest whitened residual of a tested reference value. An error of `MIN_CERTAIN_ERROR_SIGMAS` standard deviations
+causes a larger residual, if the redundancy number is at least `MIN_TESTED_REDUNDANCY`."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
-"""Smallest number of other reference values of the same kind at which one of several contradicting values is identified
-as wrong; with fewer values none is excluded."""
+"""Smallest number of other reference values of one kind, at which the wrong one of several contradicting values can be
+identified; with fewer values none is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
-"""Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
+"""Ratio of chi-square after the exclusion of reference values to chi-square before, below which the excluded values are
 certainly wrong."""
-MAX_EXCLUDED_FRACTION = 1 / 3
-"""Largest fraction of excluded reference values of one kind. If more are wrong, all values of this kind are
-inconsistent and none is excluded."""
+MAX_EXCLUDED_REFERENCE_FRACTION = 1 / 3
+"""Largest fraction of the reference values of one kind that may be excluded. If more seem wrong, all values of this
+kind are inconsistent and none is excluded."""
 
 
 def snoop_references(
@@ -67,9 +66,9 @@ def snoop_references(
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
     """Problem without contradicting reference values, its solution, and the tests of the contradicting values.
 
-    The values are excluded one at a time, each time the value with the smallest p-value. A single reading that explains
-    the misfit better is left out during the tests. Only values of `reference_kinds` are excluded; `exempt_values` (kind
-    and name) are never excluded.
+    The values are excluded one by one, each time the value with the smallest p-value. A single reading that explains
+    the misfit better is left out during the tests. Only values of the kinds `reference_kinds` may be excluded, except
+    for `exempt_values` (kind and name).
     """
     given, aside = (problem, solution), with_nonzero_reference_sigmas(problem, solution.x)
     out: list[ReferenceTest] = []
@@ -107,13 +106,15 @@ def snoop_references(
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
     weak = [
-        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _rms_normalised_error(others[test.kind])
+        test
+        for test in gone
+        if test.normalised_error < MIN_CERTAIN_ERROR_SIGMAS * _rms_normalised_error(others[test.kind])
     ]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, reference_kinds, again)
-    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
+    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_ERROR_SIGMAS
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
     return reduced, ended, tuple(_tests_with_final_errors(out, problem, (reduced, ended)))
@@ -124,7 +125,7 @@ def _tests_with_final_errors(
     problem: NetworkProblem,
     final_problem_and_solution: tuple[NetworkProblem, Solution[NetworkState]],
 ) -> Iterator[ReferenceTest]:
-    """Tests of reference values of `problem`, with the errors and the noise of the solution after all exclusions."""
+    """Tests of reference values of `problem`, with errors and noise from the solution after all exclusions."""
     state, factor = final_problem_and_solution[1].x, noise_factor(*final_problem_and_solution)
     names, marks = problem.model.recording.stations, problem.marks
     off = {
@@ -148,30 +149,30 @@ def _tests_with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """Tuple with the test of a value that contradicts others of its kind; empty if one value is clearly the wrong one.
+    """Test of a reference value that contradicts others of its kind, as a tuple; empty if one is clearly wrong.
 
-    The test names the values that may be wrong instead.
+    The test lists the values that may be wrong instead (`indistinguishable_from`).
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
-        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
+        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CERTAIN_ERROR_SIGMAS)
         if rivals and len(others) < MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
 
 
 def _rms_normalised_error(tests: Sequence[ReferenceTest]) -> float:
-    """Root-mean-square normalised error of tested reference values of one kind, at least 1."""
+    """Root mean square of the normalised errors of tested reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
 def _penalised_chi2(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> float:
-    """Chi-square without outliers, plus a penalty for each outlier and for each excluded reference value.
+    """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value.
 
-    A few outliers may explain a misfit as well as one wrong reference value. The penalty is the critical value of
-    chi-square in the test of the outlier or reference value.
+    The penalty is the critical value of chi-square in the test of the outlier or reference value. The sum serves to
+    decide between two explanations of a misfit: a few outliers, or wrong reference values.
     """
     accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.is_used_reading.sum())
@@ -179,7 +180,11 @@ def _penalised_chi2(
     paid = sum(
         float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_WISE_LEVEL))) for test in excluded_tests
     )
-    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.is_used_reading.sum()))
+    return (
+        ended.sum_of_squares
+        + paid
+        + critical_normalised_residual(readings) ** 2 * (readings - int(accepted.is_used_reading.sum()))
+    )
 
 
 def _most_contradicting_observation(
@@ -188,10 +193,9 @@ def _most_contradicting_observation(
     kinds: Collection[ReferenceKind],
     exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
-    """Test of the most contradicting reference value, or mask with the flag of a reading that contradicts more.
+    """Test of the most contradicting reference value, or mask (n, 3) with the flag of a reading that contradicts more.
 
-    The mask (n, 3) contains all readings of n pointings. The result is None if no reference value contradicts
-    significantly.
+    The result is None if no reference value contradicts the other observations significantly.
     """
     tests = [test for test in reference_tests(problem, solution, MIN_TESTED_WHITENED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
@@ -214,7 +218,9 @@ def _most_contradicting_observation(
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_WISE_LEVEL):
+    if scaled < max(MIN_CERTAIN_ERROR_SIGMAS, critical_normalised_residual(count)) ** 2 or chance < -np.log(
+        FAMILY_WISE_LEVEL
+    ):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # both causes are tested with the same noise
@@ -241,10 +247,10 @@ def _most_contradicting_observation(
 
 
 def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str:
-    """Name of the other set-up over a mark that is determined by two set-ups alone; otherwise empty.
+    """Name of the other set-up over a mark, if exactly two set-ups over it determine the mark; otherwise empty.
 
-    Both exclusions, of one set-up or of the other, are then equivalent. Their tests of a large error differ only by
-    errors of linearisation.
+    It does not matter then which of the two set-ups is excluded. Their tests of a large error differ only by errors of
+    linearisation.
     """
     stations, names = problem.model.recording.stations, problem.marks.mark_names
     if test.kind != "mark" or problem.marks.target_indices[stations.index(test.name)] >= 0:
@@ -257,9 +263,10 @@ def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str
 def _is_any_kind_inconsistent(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> bool:
-    """True if the fraction of excluded values exceeds `MAX_EXCLUDED_FRACTION` for a kind of reference value."""
+    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of any kind are excluded."""
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in excluded_tests]
     return any(
-        gone.count(kind) > max(1.0, MAX_EXCLUDED_FRACTION * every.count(kind)) for kind in TESTED_REFERENCE_KINDS
+        gone.count(kind) > max(1.0, MAX_EXCLUDED_REFERENCE_FRACTION * every.count(kind))
+        for kind in TESTED_REFERENCE_KINDS
     )

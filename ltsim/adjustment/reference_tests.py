@@ -1,4 +1,4 @@
-"""Tests of reference values (coordinates, heights, lengths, levels, azimuths), which are observations like readings."""
+"""Tests of reference values (known coordinates, lengths, levels, azimuths) against other observations."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -16,7 +16,7 @@ from ltsim.adjustment.reference_values import (
     with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import noise_factor, noncentrality
-from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CLEAR_SIGMAS
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
@@ -25,7 +25,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve
 
-REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
+PHRASE_BY_REFERENCE_KIND: dict[ReferenceKind, str] = {
     "point": "the known coordinates of",
     "difference": "the known difference",
     "length": "the known length",
@@ -35,18 +35,18 @@ REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
     "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
-"""First words of a sentence on a reference value, by its kind; the name of the value follows them."""
-ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
-"""Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
+"""First words of a sentence on the test of a reference value, by its kind; the name of the value follows them."""
+ERROR_UNIT_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
+"""Display unit of the error of a reference value, and size of the unit [SI], by kind; other kinds have millimetres."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
-"""Kinds of reference values that are tested."""
+"""Kinds of reference values that are tested, and by default excluded if they contradict the other observations."""
 TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
-"""Kinds of reference values that may be excluded if reference lengths determine the scale of the network. A common
-scale error of the lengths is then only reported."""
+"""Kinds of reference values that may be excluded if reference lengths are to determine the scale of the network. A
+common scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy number of a component of a reference value, above which the other observations of the network test it."""
+"""Redundancy number of a component of a reference value, above which the other observations are able to test it."""
 MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
-"""Largest ratio of horizontal to vertical error of a point whose error counts as a height error."""
+"""Largest ratio of horizontal to vertical error of a point, at which the error counts as a height error."""
 
 
 @dataclass(frozen=True)
@@ -54,53 +54,53 @@ class ReferenceTest(ReferenceValue):
     """Test of a reference value against the other observations of a network."""
 
     error: Floats
-    """Estimated error of each of q components, (q,) [m, rad or 1]: declared value minus estimate by other
-    observations."""
-    sigma_error: Floats
-    """Standard deviations (q,) of the errors of the q components; infinite if other observations do not test a
-    component."""
+    """Estimated errors (q,) [m, rad or 1] of the q components: declared value minus estimate by other observations."""
+    error_sigmas: Floats
+    """Standard deviations (q,) of the errors of the q components; infinite for components that other observations do
+    not test."""
     chi2_drop: float
     """Decrease of chi-square by the exclusion of the reference value."""
     rank: int
     """Number of components of the reference value that the other observations of the network test."""
     is_excluded: bool = False
-    """True if the value contradicts the other observations and is excluded from the adjustment."""
-    critical_value: float = MIN_CLEAR_SIGMAS
+    """True if the reference value contradicts the other observations and is excluded from the adjustment."""
+    critical_value: float = MIN_CERTAIN_ERROR_SIGMAS
     """Critical value of the test: value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Names of other reference values whose errors would explain the misfit equally well. Neither this value nor the
-    named values are excluded, unless all are set-ups over marks."""
+    """Names of other reference values whose errors would explain the misfit equally well. None of these values is
+    excluded, unless all are set-ups over marks."""
 
     @property
     def normalised_error(self) -> float:
-        """Square root of the decrease of chi-square; for one component the absolute normalised residual."""
+        """Error in its standard deviations: square root of `chi2_drop`; for one component the absolute w statistic."""
         return float(np.sqrt(self.chi2_drop))
 
     @property
     def is_height_error(self) -> bool:
-        """True if the error is significant in the height but not in the horizontal coordinates."""
+        """True if the error is significant in the height, but not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
         small = [
-            max(MIN_CLEAR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height) for sigma in self.sigma_error[:-1]
+            max(MIN_CERTAIN_ERROR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height)
+            for sigma in self.error_sigmas[:-1]
         ]
-        is_significant = height > MIN_CLEAR_SIGMAS * self.sigma_error[-1]
+        is_significant = height > MIN_CERTAIN_ERROR_SIGMAS * self.error_sigmas[-1]
         return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
 
     @property
     def error_text(self) -> str:
-        """Size of the error (length of its vector) with standard deviation and unit, as text.
+        """Text with the size of the error (length of its vector), its standard deviation and unit.
 
-        The standard deviation is that of the size of an error in the estimated direction: size / `normalised_error`.
+        The standard deviation is the size divided by `normalised_error`.
         """
         error_size = float(np.linalg.norm(self.error))
         sigma = error_size / self.normalised_error if self.normalised_error else 0.0
-        unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
+        unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(error_size / factor, sigma / factor, unit)
 
     @property
     def sentence(self) -> str:
-        """Sentence on a reference value that contradicts the other observations."""
-        what = f"{REFERENCE_KIND_PHRASES[self.kind]} {self.name}"
+        """Sentence for the user on a reference value that contradicts the other observations."""
+        what = f"{PHRASE_BY_REFERENCE_KIND[self.kind]} {self.name}"
         if self.kind == "mark":
             others = ", ".join(self.indistinguishable_from)
             mark = f"the mark of {others}" if others else "its mark"
@@ -118,7 +118,7 @@ class ReferenceTest(ReferenceValue):
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
-            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong: check each"
+            return f"{both} ({what} by {self.error_text}); the readings do not show which one is wrong: check each"
         note = "as the readings show: excluded from the adjustment"
         if self.kind == "axes":
             note = "as the other points show: excluded from the datum"
@@ -128,28 +128,30 @@ class ReferenceTest(ReferenceValue):
         return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
 
     def with_noise_factor(self, factor: float) -> Self:
-        """Test for noise that is larger than declared: all standard deviations are multiplied by `factor`."""
-        chi2_drop, sigma_error = self.chi2_drop / factor**2, factor * self.sigma_error
-        return replace(self, sigma=factor * self.sigma, sigma_error=sigma_error, chi2_drop=chi2_drop)
+        """Same test with all standard deviations multiplied by `factor`, for noise larger than declared."""
+        chi2_drop, error_sigmas = self.chi2_drop / factor**2, factor * self.error_sigmas
+        return replace(
+            self, declared_sigmas=factor * self.declared_sigmas, error_sigmas=error_sigmas, chi2_drop=chi2_drop
+        )
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (q,) of q components: derivative of the residual of each with respect to its error."""
-        return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
+        """Redundancy numbers (q,) of the q components: part of an error of the component that its residual shows."""
+        return np.where(self.error_sigmas > 0, np.minimum((self.declared_sigmas / self.error_sigmas) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable_errors(self) -> Floats:
-        """Minimal detectable errors (q,) of the q components at a power of 80 %; infinite for untested components."""
-        return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.sigma_error
+        """Errors (q,) of the q components that the test detects with a probability of 80 %; infinite if untested."""
+        return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.error_sigmas
 
 
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of those reference values of an adjustment that have whitened residuals of at least `min_residual`.
+    """Tests of those reference values of an adjustment whose whitened residuals are at least `min_residual`.
 
-    With a positive `min_residual` the common scale of all reference lengths is tested too. With `min_residual` 0 exact
-    reference values get a small standard deviation, so that a test of them is possible.
+    If `min_residual` is positive, the common scale of all reference lengths is tested too. If it is 0, exact reference
+    values first get a small standard deviation, because a test is impossible without one.
     """
     if not min_residual and solution.factor is not None:
         problem, given = with_nonzero_reference_sigmas(problem, solution.x), problem
@@ -158,36 +160,39 @@ def reference_tests(
         return []
     residual, tests = problem.whitened_residuals(solution.x), []
     declared = reference_values(problem, solution.x)
-    values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
+    values = [v for v in declared if float(np.linalg.norm(residual[v.equation_indices])) >= min_residual]
     values += common_scale_reference(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
-        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
+        inside = np.hstack(
+            [to_dense(solution.system.design[value.equation_indices]).T @ value.design_columns for value in batch]
+        )
         response, first = solution.factor.multiply_by_covariance(inside), 0
         for value in batch:
             columns = slice(first, first := first + value.design_columns.shape[1])
             gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]
-            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.rows]))
+            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.equation_indices]))
     return tests
 
 
 def scaled_reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests as by `reference_tests`, but with all standard deviations multiplied by the `noise_factor` of the fit."""
+    """Tests of reference values as by `reference_tests`, with standard deviations multiplied by the `noise_factor`."""
     tests = reference_tests(problem, solution, min_residual)
     factor = noise_factor(problem, solution) if tests else 1.0
     return [test.with_noise_factor(factor) for test in tests]
 
 
 def passes_global_test(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
-    """True if chi-square is not too large for the declared noise, at `FAMILY_WISE_LEVEL`."""
+    """True if chi-square is not too large for the declared noise, at the significance level `FAMILY_WISE_LEVEL`."""
     return bool(special.chdtrc(max(problem.dof, 1), solution.sum_of_squares) >= FAMILY_WISE_LEVEL)
 
 
 def requires_instrument_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
-    """True if instrument constants may hide the error of a known point.
+    """True if errors of the instrument constants may look like errors of known points.
 
-    This is possible if the network has known points, and if a fit without these constants fails the global test.
+    This is possible if the network has known points, and if a fit that does not estimate the instrument constants fails
+    the global test.
     """
     has_constants = problem.model.construction.n_parameters > 0
     return bool(len(problem.control_rows)) and not has_constants and not passes_global_test(problem, solution)
@@ -198,9 +203,9 @@ def reference_tests_with_instrument_constants(
 ) -> tuple[ReferenceTest, ...]:
     """Tests of the reference values of an adjustment, with instrument constants as a source of uncertainty.
 
-    In a network without reference lengths the constants are unknowns of the tests only if the fit with them passes the
-    global test and the fit without them does not. Standard deviations are those of the tested fit, multiplied by its
-    `noise_factor`. The residuals are those of the adjustment itself.
+    In a network without reference lengths, instrument constants are unknowns of the tests only if a fit with them
+    passes the global test and a fit without them does not. Standard deviations are those of the tested fit, multiplied
+    by its `noise_factor`. The residuals are those of the adjustment itself.
     """
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)
@@ -217,8 +222,8 @@ def reference_tests_with_instrument_constants(
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inner_products: Floats) -> ReferenceTest:
     """Test of a reference value with q components.
 
-    `gram_matrix` (q, q) contains the inner products of the changes of the adjusted residuals by unit errors of the
-    components, `residual_inner_products` (q,) the inner products of these changes with the residuals.
+    Unit errors of the components change the whitened residuals of the adjustment. `gram_matrix` (q, q) contains the
+    inner products of these changes, `residual_inner_products` (q,) the inner products of the changes and the residuals.
     """
     norms = np.linalg.norm(value.design_columns, axis=0)
     is_active = norms > SQRT_MACHINE_EPSILON * norms.max()  # readings in plan do not depend on heights
@@ -232,7 +237,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
         value.kind,
         value.name,
         value.declared_axes,
-        value.sigma,
+        value.declared_sigmas,
         value.residual,
         eigen_errors @ (eigen_products / redundancies),
         np.where(is_determined, np.sqrt(np.sum(eigen_errors**2 / redundancies, axis=1)), np.inf),

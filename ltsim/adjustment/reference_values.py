@@ -1,4 +1,4 @@
-"""Reference values in an adjustment: declared value, misclosure, and effect of an error of the value on residuals."""
+"""Reference values (known points, lengths, levels) in an adjustment: misclosures and effects of errors on residuals."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,20 +14,25 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-"""Kind of reference value."""
+"""Kind of a reference value.
+
+`point` known coordinates, `difference` known coordinate difference, `length` known length, `level` levelled station,
+`yaw` known direction of azimuth zero, `mark` set-up over a mark, `axes` declared coordinates that only define the axes,
+`scale` common scale of all known lengths.
+"""
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
-"""Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
+"""Smallest standard deviation of a reference value during its test, divided by the median one of the readings."""
 STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""Updates of a station's entries in the set-up that remove a reference value, by kind of reference value."""
+"""Changes of a station's entries in the set-up that remove a reference value, by kind of reference value."""
 
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Reference value with q components: point, difference, length, level, yaw, scale, or position over a mark."""
+    """Reference value with q components, for example a known point with three or a length with one."""
 
     kind: ReferenceKind
     """Kind of the reference value."""
@@ -35,27 +40,27 @@ class ReferenceValue:
     """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
     declared_axes: str
     """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
-    sigma: Floats
+    declared_sigmas: Floats
     """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
     residual: Floats
-    """Declared minus adjusted value of each of q components, (q,) [m, rad or 1]."""
+    """Misclosures (q,) [m, rad or 1] of the q components: declared minus adjusted values."""
     occupied_by: str = field(default="", kw_only=True)
-    """Name of the set-up over the known point, if the point is not measured as a target; else empty."""
+    """Name of the set-up over a known point that is not measured as a target; empty for other reference values."""
 
 
 @dataclass(frozen=True)
 class ReferenceValueRows(ReferenceValue):
     """Reference value with its equations in an adjustment."""
 
-    rows: Ints
+    equation_indices: Ints
     """Indices (r,) of the r equations whose residuals an error of the reference value changes."""
     design_columns: Floats
-    """Derivatives (r, q) of the whitened residuals of the r equations `rows` with respect to errors of the q
-    components."""
+    """Derivatives (r, q) of the whitened residuals of the r equations `equation_indices` with respect to errors of the
+    q components."""
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Reference values of a problem at a state, in the order of their equations, then the set-ups over marks."""
+    """Reference values of an adjustment at a state, in the order of their equations, then set-ups over marks."""
     recording, first, gauge = problem.model.recording, int(problem.is_used_reading.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.total_sigmas)).tolist():
@@ -91,11 +96,14 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
             first += len(root)
     tilts = -problem.level_rows.axis_tilts(state.station_rotations)
     for i, station in enumerate(problem.level_rows.station_indices.tolist()):
-        sigma, rows = np.full(2, problem.level_rows.sigma[i]), problem.level_row_slice.start + 2 * i + np.arange(2)
+        sigma, rows = (
+            np.full(2, problem.level_rows.tilt_sigmas[i]),
+            problem.level_row_slice.start + 2 * i + np.arange(2),
+        )
         yield ReferenceValueRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     gap, first = problem.yaw_rows.yaw_residuals(state.station_rotations), problem.level_row_slice.stop
     for i, station in enumerate(problem.yaw_rows.station_indices.tolist()):
-        sigma = problem.yaw_rows.sigma[i : i + 1]
+        sigma = problem.yaw_rows.yaw_sigmas[i : i + 1]
         rows = np.array([first + i])
         yield ReferenceValueRows(
             "yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None]
@@ -104,9 +112,9 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
 
 
 def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Common scale of all reference lengths as a reference value; empty for a single length.
+    """Common scale of all reference lengths as a reference value; empty for fewer than two lengths.
 
-    A wrong temperature of the lengths, or an error of their calibration, changes all lengths in proportion.
+    A wrong temperature or calibration of the lengths changes all of them in proportion.
     """
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.total_sigmas)
     if felt.sum() > 1:
@@ -119,7 +127,7 @@ def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iter
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Declarations that a set-up is exactly over its mark, as reference values.
 
-    A declaration can be tested only if the mark is also a target or lies under another set-up.
+    They can be tested only if the mark is measured as a target or lies under another set-up.
     """
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target_indices >= 0) | (
@@ -128,7 +136,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
     if not shared.any():
         return
     number = np.cumsum(problem.is_used_reading).reshape(problem.is_used_reading.shape) - 1
-    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
+    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.reading_sigmas[:, :, None]
     for s in np.flatnonzero(shared).tolist():
         readings = problem.is_used_reading & (recording.station == s)[:, None]
         if readings.any():
@@ -139,7 +147,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
 
 
 def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Recording:
-    """Recording from whose set-up one reference value is removed."""
+    """Recording from whose set-up the reference value `reference_value` is removed."""
     setup, name = recording.setup, reference_value.name
     if reference_value.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
@@ -165,7 +173,7 @@ REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2
 
 
 def without_reference_coordinates(recording: Recording) -> Recording:
-    """Recording whose set-up contains no reference coordinates."""
+    """Recording whose set-up contains no known coordinates of targets."""
     targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
@@ -180,11 +188,11 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
 
 
 def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
+    """Problem in which exact reference values get a small standard deviation, because a test requires one."""
     if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
-    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    sigma_lengths = problem.reading_sigmas * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = MIN_SIGMA_RELATIVE_TO_READINGS * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem

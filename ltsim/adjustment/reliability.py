@@ -1,4 +1,4 @@
-"""Reliability of readings: redundancy numbers, normalised residuals, outlier tests, minimal detectable errors."""
+"""Reliability of readings: redundancy numbers, normalised residuals, outlier tests, detection probability."""
 
 from functools import lru_cache
 
@@ -19,19 +19,19 @@ from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import robust_sigma
-from ltsim.solve.elimination import BlockFactor
+from ltsim.solve.elimination import FactorisedNormals
 from ltsim.solve.gauss_newton import Solution
 
-MAX_SIGMA0_DECLARED_NOISE = 1.25
-"""Largest robust sigma0 at which residuals are tested with the declared noise instead of the estimated noise."""
+MAX_SIGMA0_FOR_DECLARED_NOISE = 1.25
+"""Largest robust estimate of sigma0 at which residuals are tested with the declared instead of the estimated noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of the scatter at a target to the scatter at the other targets, above which the target counts as noisy."""
 
 
-def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -> Floats:
+def redundancy_numbers(problem: NetworkProblem, normal_equations: FactorisedNormals) -> Floats:
     """Redundancy numbers (n, 3) of the readings of n pointings; NaN for unused readings.
 
-    A redundancy number is the derivative of a residual with respect to an error of its reading.
+    A redundancy number, 0 to 1, is the part of an error of a reading that its residual shows.
     """
     share = np.full(problem.is_used_reading.shape, np.nan)
     share[problem.is_used_reading] = 1.0 - normal_equations.leverage()[: int(problem.is_used_reading.sum())]
@@ -46,25 +46,25 @@ def normalise_residuals(problem: NetworkProblem, residuals: Floats, redundancy: 
     """
     is_checked = problem.is_used_reading & (redundancy > NORMAL_EQUATIONS_TOLERANCE)
     w = np.where(problem.is_used_reading, 0.0, np.nan)
-    w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
+    w[is_checked] = residuals[is_checked] / (problem.reading_sigmas[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
 
 
 def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats) -> float:
-    """Factor on the declared noise, estimated from normalised residuals; 1 if the estimate is at most 1.25.
+    """Factor on the declared noise, a robust estimate from normalised residuals; 1 if the estimate is at most 1.25.
 
-    `normalised_residuals` and `redundancy` (n, 3) are those of n pointings. The noise is never reduced, so that a
-    reading that is consistent with the declared noise is no outlier.
+    `normalised_residuals` and `redundancy` numbers (n, 3) are those of n pointings. The factor is never below 1, so
+    that a reading that is consistent with the declared noise is no outlier.
     """
     scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
-    return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
+    return scale if scale > MAX_SIGMA0_FOR_DECLARED_NOISE else 1.0
 
 
 def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:
-    """Factor, at least 1, by which the declared noise is multiplied in all tests of a fit.
+    """Factor, at least 1, by which the declared noise is multiplied in all tests of an adjustment.
 
-    The factor is 1 if the global test accepts the fit, or if only single readings contradict the declared noise.
-    Otherwise it is the smaller of sigma0 and the robust `noise_factor_from_residuals`.
+    It is 1 if the adjustment passes the global test, or if only single readings contradict the declared noise.
+    Otherwise it is the smaller of sigma0 and the robust estimate `noise_factor_from_residuals`.
     """
     dof, chi2 = problem.dof, solution.sum_of_squares
     if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= TWO_SIDED_GLOBAL_TEST_LEVEL / 2:
@@ -78,9 +78,9 @@ def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> f
 def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
     """Indices (k,) of k noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
-    A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets. A
-    scatter is a robust standard deviation of normalised residuals. `normalised_residuals` and `redundancy` (n, 3)
-    belong to n pointings; `target` (n,) is the target of each.
+    A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those to the other targets. A
+    scatter is a robust standard deviation of normalised residuals. `normalised_residuals` and `redundancy` numbers
+    (n, 3) belong to n pointings; `target` (n,) is the target index of each.
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
@@ -98,18 +98,19 @@ def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, targe
     return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
 
 
-def critical_w(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
-    """Critical value of the absolute normalised residual |w| in a joint test of `n_readings` readings (Sidak).
+def critical_normalised_residual(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
+    """Critical value of the absolute normalised residual |w| if `n_readings` readings are tested (Sidak).
 
-    `alpha` is the false-alarm rate of the joint test.
+    `alpha` is the false-alarm rate of all these tests together.
     """
     return float(-special.ndtri(0.5 * level_of_single_test(n_readings, alpha)))
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
-    """Probability that the largest |w| / sigma0 of `n_readings` readings without gross errors is at least `tau`.
+    """p-value of tau = |w| / sigma0: probability that the largest tau of `n_readings` correct readings exceeds `tau`.
 
-    `dof` are the degrees of freedom of the estimated sigma0; they are infinite for the declared noise (sigma0 = 1).
+    w is a normalised residual, `dof` the degrees of freedom of the estimated sigma0; infinite for the declared noise
+    (sigma0 = 1).
 
     References
     ----------
@@ -163,14 +164,14 @@ def iterative_snooping(
     return outliers
 
 
-def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
-    """Significance level of each of `n_tests` tests whose joint significance level is `joint_alpha` (Sidak)."""
-    return float(-np.expm1(np.log1p(-joint_alpha) / max(n_tests, 1)))
+def level_of_single_test(n_tests: int, family_wise_level: float) -> float:
+    """Significance level of each of `n_tests` tests whose family-wise level is `family_wise_level` (Sidak)."""
+    return float(-np.expm1(np.log1p(-family_wise_level) / max(n_tests, 1)))
 
 
 @lru_cache
 def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: int = 1) -> float:
-    """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
+    """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER` (80 %).
 
     The noncentrality is the squared length of the whitened residuals that the error causes.
 
@@ -179,7 +180,7 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: in
     dof : int
         Degrees of freedom of the test; 1 for a two-sided test of a normal variable.
     alpha : float
-        False-alarm rate of all hypotheses together.
+        False-alarm rate of all tested hypotheses together.
     n_tests : int
         Number of hypotheses that share the false-alarm rate (Sidak).
 
@@ -192,10 +193,10 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: in
 
 
 def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
-    """Negative logarithm of the p-value of a decrease of chi-square with `rank` degrees of freedom; 0 for rank 0.
+    """Negative logarithm of the p-value of a decrease of chi-square, `chi2_drop`, with `rank` degrees of freedom.
 
-    For p-values below the range of floating-point numbers, the incomplete gamma function of a = `rank` / 2 and
-    x = `chi2_drop` / 2 is approximated by Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
+    It is 0 for rank 0. For p-values below the range of floating-point numbers, the incomplete gamma function of
+    a = `rank` / 2 and x = `chi2_drop` / 2 is approximated by Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
     is_far = x > 300.0

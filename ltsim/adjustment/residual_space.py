@@ -1,8 +1,8 @@
 """Residual space of an adjustment: projection of errors of observations onto the residuals.
 
-An effect that changes the whitened observations by a vector g per unit of its parameter changes the whitened residuals
-by P g, where P is the projector onto the residual space. The tests of a diagnosis and the detectability of effects in a
-plan use P.
+The residual space is the orthogonal complement of the columns of the whitened design matrix. An effect that changes the
+whitened observations by a vector g per unit of its parameter changes the whitened residuals by P g, where P is the
+projector onto the residual space. The tests of a diagnosis and the detectability of effects in a plan use P.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import ResidualProjector, make_residual_projector
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of entries of all design columns that a screening projects, limited because of the processor time.
-Beyond it only the most promising hypotheses are projected.
+"""Largest number of entries of all design columns that a screening of hypotheses projects onto the residual space, to
+limit the processor time. Of more hypotheses only the most promising ones are projected.
 """
 
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """Residual space of an adjustment with m equations: projector and residuals."""
+    """Residual space of an adjustment with m equations: projector onto it, and whitened residuals."""
 
     projector: ResidualProjector
-    """Projector onto the orthogonal complement of the whitened design matrix, including columns of additional
-    effects."""
+    """Projector onto the orthogonal complement of the columns of the whitened design matrix, including those of
+    additional effects."""
     whitened_residuals: Floats
     """Whitened residuals of the m equations of the adjustment, (m,)."""
     adjustment: Adjustment
@@ -41,7 +41,7 @@ class ResidualSpace:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """Residual space at the solution of an adjustment; it is not cached, because its basis takes up to 32 MB."""
+        """Residual space at the solution of an adjustment; not cached, because its basis takes up to 32 MB."""
         solution = adjustment.solution
         projector = make_residual_projector(solution.system, solution.factor)
         residual = projector.project(solution.system.whitened_residuals[:, None])[:, 0]
@@ -49,40 +49,40 @@ class ResidualSpace:
 
     @property
     def sightings(self) -> Sightings:
-        """Range, direction and regressors (time and so on) of each pointing, computed from the adjusted network."""
+        """Range, direction and covariates (such as time) of each pointing, computed from the adjusted network."""
         return self.adjustment.sightings
 
     @property
     def is_used_reading(self) -> Bools:
-        """Flags (n, 3) of the readings of n pointings that are in use; their equations are the first ones."""
+        """Flags (n, 3) of the readings of n pointings that are in use; their equations precede all others."""
         return self.adjustment.problem.is_used_reading
 
     @property
-    def sigma(self) -> Floats:
+    def reading_sigmas(self) -> Floats:
         """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
-        return self.adjustment.problem.sigma
+        return self.adjustment.problem.reading_sigmas
 
     @property
     def n_equations(self) -> int:
-        """Number m of equations: observations, priors and datum."""
+        """Number m of equations of the adjustment: observations, priors and datum."""
         return len(self.whitened_residuals)
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (m,) of m equations: derivative of each residual with respect to its observation."""
+        """Redundancy numbers (m,) of the m equations, 0 to 1: part of an error that the residual shows."""
         return 1.0 - self.projector.leverage()
 
     @cached_property
     def _used_reading_weights(self) -> tuple[Ints, Floats]:
-        """Indices (r,) of the r readings in use, and their inverse standard deviations (r, 1)."""
+        """Flat indices (r,) of the r readings in use, and their inverse standard deviations (r, 1)."""
         place = np.flatnonzero(self.is_used_reading)
-        return place, 1.0 / self.sigma.reshape(-1)[place, None]
+        return place, 1.0 / self.reading_sigmas.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
-        """Whitened design columns (m, q) of m equations, from changes of the readings and reference lengths.
+        """Whitened design columns (m, q) of m equations, from changes of readings and reference lengths.
 
         `design` (n, 3, q) contains the changes of the readings of n pointings per unit of q parameters, `gauge_changes`
-        (g, q) those of g reference lengths. Equations of other observations do not change.
+        (g, q) [m] those of g reference lengths (gauge). Other equations do not change.
         """
         whitened_rows = np.zeros((self.n_equations, design.shape[2]))
         place, weight = self._used_reading_weights
@@ -97,46 +97,45 @@ class ResidualSpace:
         return whitened_rows
 
     def unwhiten(self, whitened_change: Floats) -> Floats:
-        """Changes (n, 3) [m, rad, rad] of n pointings from whitened changes (m,) of m equations; 0 if unused."""
+        """Changes (n, 3) [m, rad, rad] of the readings of n pointings, from whitened changes (m,); 0 if unused."""
         readings = np.zeros(self.is_used_reading.shape)
         readings[self.is_used_reading] = (
-            whitened_change[: int(self.is_used_reading.sum())] * self.sigma[self.is_used_reading]
+            whitened_change[: int(self.is_used_reading.sum())] * self.reading_sigmas[self.is_used_reading]
         )
         return readings
 
     def whitened_design(self, effect: LinearEffect) -> Floats:
-        """Whitened design matrix (m, q) of m equations for an effect or empirical law with q parameters."""
+        """Whitened design columns (m, q) of m equations for a (catalogue or empirical) effect of q parameters."""
         gauge = self.adjustment.problem.gauge_rows
         lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(effect.design(self.sightings), lengths)
 
     def project(self, design_columns: Floats) -> Floats:
-        """Projection of q whitened columns (m, q), or of one vector (m,), for m equations, onto the residual space."""
+        """Projections (m, q) onto the residual space of q whitened columns (m, q), or of one vector (m,)."""
         return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
             design_columns.shape
         )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
-        """Decrease of chi-square and its degrees of freedom, if parameters with these `design_columns` are added.
+        """Decrease of chi-square and its degrees of freedom, if the q parameters of `design_columns` are estimated too.
 
-        The columns (m, q) are the whitened changes of m equations per unit of q parameters.
+        The columns (m, q) are the whitened changes of m equations per unit of the parameters.
         """
         scores = self._projected_basis(design_columns).T @ self.whitened_residuals
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
-        """Orthonormal basis (m, r) of the space that the projections of design columns span, of dimension r.
+        """Orthonormal basis (m, r) of the span of `design_columns` after their projection onto the residual space.
 
-        `design_columns` (m, q) are the whitened changes of m equations per unit of q parameters.
+        The columns (m, q) are the whitened changes of m equations per unit of q parameters; r is the dimension.
         """
         return orthonormal_columns(self.project(design_columns), self.norms_without_centring(design_columns))
 
     def norms_without_centring(self, design_columns: Floats) -> Floats:
-        """Lengths (q,) of q `design_columns` without the part that centring errors in the model absorb.
+        """Lengths (q,) of q `design_columns` (m, q), without the part that centring errors in the model absorb.
 
-        The columns (m, q) are whitened changes of m equations. Centring errors with a large standard deviation absorb
-        nearly all of an effect. The projected effect counts as
-        visible if it is large compared with these lengths, which replace the lengths of the original columns.
+        Centring errors with a large standard deviation absorb nearly all of an effect. The rest that remains in the
+        residual space is therefore compared with these lengths, and not with those of the original columns.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
         if not self._centring_normals:
@@ -152,16 +151,15 @@ class ResidualSpace:
 
     @cached_property
     def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
-        """Indices (r,) of r pointings and of their occupations, slopes, and normal matrices, of each centring error.
+        """Pointing indices (r,), occupation indices (r,), slopes and normal matrices, for each kind of centring errors.
 
-        There is one tuple for each of the centring errors in the model. The slopes (r, 3, 3) are the whitened changes
-        of the readings per unit of the displacement. The normal matrices (k, 3, 3) of k occupations include the prior
-        of the displacements.
+        The slopes (r, 3, 3) are the whitened changes of the readings per unit displacement of the reflector. The normal
+        matrices (k, 3, 3) of k occupations include the prior of the displacements.
         """
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
             rows = np.flatnonzero(errors.occupation_indices >= 0)
-            slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
+            slope = self.sightings.target_derivatives[rows] / self.reading_sigmas[rows, :, None]
             slope = np.where(self.is_used_reading[rows, :, None], slope, 0.0)
             normals = np.tile(np.eye(3) / errors.displacement_sigma**2, (errors.n_occupations, 1, 1))
             np.add.at(normals, errors.occupation_indices[rows], np.einsum("nki,nkj->nij", slope, slope))
@@ -169,19 +167,19 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Residual space of the adjustment if q parameters with design columns (m, q) for m equations are added."""
+        """Residual space of the adjustment if the q parameters of `design_columns` (m, q) are estimated too."""
         basis = self._projected_basis(design_columns)
         residual = self.whitened_residuals - basis @ (basis.T @ self.whitened_residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
-        """Residual space of the adjustment if the parameters of effects or empirical laws are estimated too."""
+        """Residual space of the adjustment if the parameters of `effects` are estimated too."""
         if not effects:
             return self
         return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))
 
     def target_shifts(self, design_columns: Floats) -> Floats:
-        """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of m observations."""
+        """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of the m equations."""
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.multiply_by_covariance(normal_side)[:, 0][
@@ -191,10 +189,10 @@ class ResidualSpace:
 
 
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
-    """Orthonormal basis (m, r) of the space that q projected design columns of m equations (m, q) span.
+    """Orthonormal basis (m, r) of the span of q projected design columns (m, q), of dimension r.
 
-    The space has the dimension r. `norms` (q,) are the lengths of the columns before the projection. Directions with a
-    length that is negligible relative to `norms` are omitted.
+    `norms` (q,) are the lengths of the columns before the projection. Directions with a length that is negligible
+    relative to `norms` are omitted.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

@@ -1,4 +1,4 @@
-"""Observation equations (rows) of reference values: lengths, known points and differences, levels, yaws."""
+"""Observation equations (rows of the design matrix) of reference values: lengths, known points, levels, yaws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, VERTICAL, cross_matrix, perpendicular_vectors, rigid_motion_design
+from ltsim.geometry.rigid import (
+    MAX_COLLINEAR_RATIO,
+    VERTICAL,
+    cross_matrix,
+    perpendicular_vectors,
+    rigid_motion_jacobian,
+)
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths, mark_indices
@@ -22,11 +28,10 @@ from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 @dataclass(frozen=True)
 class GaugeRows(ReferenceLengths):
-    """Observation equations of g reference lengths, converted to the temperature of the hall."""
+    """Observation equations of g reference lengths (gauge), converted to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,), True for those of the g lengths that have no weight, because an end is undetermined; their equations
-    remain in the system."""
+    """Flags (g,), True for those of the g lengths that get no weight because the position of an end is undetermined."""
 
     @cached_property
     def total_sigmas(self) -> Floats:
@@ -35,7 +40,7 @@ class GaugeRows(ReferenceLengths):
 
     @cached_property
     def correlation_cholesky_factor(self) -> Floats | None:
-        """Lower Cholesky factor (g, g) of the correlation matrix of g lengths; None for uncorrelated lengths."""
+        """Lower Cholesky factor (g, g) of the correlation matrix of the g lengths; None for uncorrelated lengths."""
         if not self.shared_error_shifts:
             return None
         shared_errors = np.array([*self.shared_error_shifts.values()]) / self.total_sigmas
@@ -45,17 +50,17 @@ class GaugeRows(ReferenceLengths):
 
     @property
     def covariance_cholesky_factor(self) -> Floats:
-        """Cholesky factor (g, g) [m] of the covariance of the g lengths; `decorrelate` multiplies by its inverse."""
+        """Lower Cholesky factor (g, g) [m] of the covariance of the g lengths; its inverse whitens length errors."""
         factor = self.correlation_cholesky_factor
         return np.diag(self.total_sigmas) if factor is None else self.total_sigmas[:, None] * factor
 
     def decorrelate(self, length_changes: Floats) -> Floats:
-        """Changes of g lengths [m], (g,) or for q parameters (g, q), whitened: with independent unit errors."""
+        """Whitened changes of g lengths, from changes in m, (g,), or (g, q) for q parameters."""
         scaled_values = length_changes / (self.total_sigmas if length_changes.ndim == 1 else self.total_sigmas[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
-        """Changes of g lengths in standard deviations, (g,) or for q parameters (g, q), without their correlations."""
+        """Whitened changes of g lengths, from changes in standard deviations, (g,), or (g, q) for q parameters."""
         return (
             scaled_changes
             if self.correlation_cholesky_factor is None
@@ -66,10 +71,10 @@ class GaugeRows(ReferenceLengths):
         return len(self.lengths)
 
     def predict(self, points: Floats) -> Floats:
-        """Lengths (g,) [m] of the g lines, for T targets at `points` (T, 3) [m]."""
+        """Lengths (g,) [m] between the ends of the g reference lengths, for T targets at `points` (T, 3) [m]."""
         return np.linalg.norm(points[self.first_targets] - points[self.second_targets], axis=1)
 
-    def unit_vectors(self, points: Floats) -> Floats:
+    def line_directions(self, points: Floats) -> Floats:
         """Unit vectors (g, 3) from the second to the first target of each of g lengths; zero if both targets coincide.
 
         These vectors are the derivatives of the lengths with respect to the first target.
@@ -81,27 +86,27 @@ class GaugeRows(ReferenceLengths):
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Observation equations of k known points: targets, or instruments over known marks that are no targets."""
+    """Observation equations of k known points: targets, or instruments over known marks that are not measured."""
 
     point_indices: Ints
     """Index of the target, or of the station, of each of k known points, (k,)."""
     declared_points: Floats
-    """Known coordinates of k points, (k, 3) [m]; values of unknown coordinates have no meaning."""
+    """Known coordinates of k points, (k, 3) [m]; the values of unknown coordinates are arbitrary."""
     is_declared_coordinate: Bools
     """Flags (k, 3), True for those coordinates of k points that are known."""
     whitening_matrices: Floats
-    """Matrices R that whiten the misclosures of k points, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the
-    known coordinates. Rows and columns of unknown coordinates are 0.
+    """Matrices R (k, 3, 3) [1 / m] that whiten the misclosures of k points: R' R is the inverse covariance of the known
+    coordinates. Rows and columns of unknown coordinates are 0.
     """
 
     @classmethod
     def from_recording(cls, recording: Recording) -> ControlRows:
-        """Equations of the targets with known coordinates in a recording."""
+        """Equations of those targets of a recording that have known coordinates."""
         return cls._from_indexed_names(recording, list(enumerate(recording.targets)))
 
     @classmethod
     def from_stations(cls, recording: Recording, marks: StationMarks) -> ControlRows:
-        """Equations of the instrument positions over known marks, for marks that are no targets."""
+        """Equations of instrument positions over known marks that are not measured as targets."""
         places = [
             (i, n)
             for i, n in enumerate(marks.mark_names)
@@ -115,7 +120,7 @@ class ControlRows:
 
     @classmethod
     def _from_indexed_names(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
-        """Equations of those points, given by index and name, whose coordinates are known."""
+        """Equations of those points, given by target or station index and name, whose coordinates are known."""
         setups = [(i, recording.target_setup(name)) for i, name in indices_and_names]
         control_setups = [(i, t) for i, t in setups if t.known_mm is not None]
         return cls(
@@ -128,7 +133,7 @@ class ControlRows:
 
     @property
     def n_coordinates(self) -> int:
-        """Number c of known coordinates of all points, one equation each."""
+        """Number c of known coordinates of all points, with one equation each."""
         return int(self.is_declared_coordinate.sum())
 
     def with_min_sigma(self, min_sigma: float) -> ControlRows:
@@ -153,7 +158,7 @@ class ControlRows:
 
 
 def _declared_coordinates(entries: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
-    """Coordinates (k, 3) [m] of k points or differences, flags (k, 3) of known ones, whitening matrices (k, 3, 3)."""
+    """Declared values (k, 3) [m] of k points or differences, flags (k, 3) of known ones, whitening matrices."""
     axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in entries], dtype=bool).reshape(-1, 3)
     roots = np.array(
         [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(entries, axes, strict=True)]
@@ -162,7 +167,7 @@ def _declared_coordinates(entries: Sequence[Target | ReferenceDifference]) -> tu
 
 
 def _whitening_matrix(target: Target | ReferenceDifference, is_declared_coordinate: Bools) -> Floats:
-    """Whitening matrix (3, 3) [1 / m] of known coordinates, a root of their inverse covariance; 0 if not known."""
+    """Whitening matrix R (3, 3) [1 / m] of known coordinates: R' R is their inverse covariance; 0 if not known."""
     if target.known_covariance_mm2 is None:
         return np.diag(is_declared_coordinate / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(is_declared_coordinate, is_declared_coordinate), np.zeros((3, 3))
@@ -175,9 +180,9 @@ def _whitening_matrix(target: Target | ReferenceDifference, is_declared_coordina
 class DifferenceRows(ControlRows):
     """Observation equations of k known differences: coordinates of the end mark minus coordinates of the start mark.
 
-    The ends are indexed in the list of T targets, S instruments and the origin. The origin represents unmeasured marks
-    with known coordinates. These coordinates, and the heights of instruments over their marks, are included in
-    `declared_points`.
+    Ends are given by an index in the list of T targets, S instruments and the origin. The origin stands for a mark that
+    is known but not measured. Its coordinates, and the heights of instruments over their marks, are included in
+    `declared_points`, the declared differences.
     """
 
     start_indices: Ints
@@ -190,7 +195,7 @@ class DifferenceRows(ControlRows):
 
     @classmethod
     def from_marks(cls, recording: Recording, marks: StationMarks) -> DifferenceRows:
-        """Equations of those differences of a recording whose ends are both measured or known."""
+        """Equations of those known differences of a recording whose two ends are measured or known."""
         places, count = mark_indices(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
         differences = tuple(
@@ -206,15 +211,8 @@ class DifferenceRows(ControlRows):
                     points[k] -= sign * np.array(recording.target_setup(name).known_mm) * MILLIMETRE
                 elif place >= count:
                     points[k] += sign * marks.instrument_offsets[place - count]
-        return cls(
-            end_indices[:, 1],
-            points,
-            axes,
-            roots,
-            end_indices[:, 0],
-            last,
-            tuple(difference.label for difference in differences),
-        )
+        labels = tuple(difference.label for difference in differences)
+        return cls(end_indices[:, 1], points, axes, roots, end_indices[:, 0], last, labels)
 
     @property
     def start_and_end_indices(self) -> Ints:
@@ -234,17 +232,17 @@ class DifferenceRows(ControlRows):
         )
 
     def predict(self, points: Floats, position: Floats) -> Floats:
-        """Vectors (k, 3) [m] of k differences between T targets `points` (T, 3) and S instruments `position` (S, 3)."""
+        """Differences (k, 3) [m] of k pairs of points, from targets `points` (T, 3), instruments `position` (S, 3)."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
         return places[self.point_indices] - places[self.start_indices]
 
     def derivatives(self) -> Floats:
-        """Derivatives (c, 6) of c whitened components of differences by start and end point; 0 for the origin."""
+        """Derivatives (c, 6) of the c whitened known components by start and end point of their difference."""
         signs = np.where(self.start_and_end_indices == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.is_declared_coordinate]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
-        """Flags (T + S + 1,) of T targets, S instruments and the origin, True if the height remains undetermined.
+        """Flags (T + S + 1,) of T targets, S instruments and the origin, True for heights that remain undetermined.
 
         `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
         """
@@ -257,7 +255,7 @@ class DifferenceRows(ControlRows):
         """Derivatives (c, 6) of the c known components of differences by translation and rotation of the network.
 
         Rotations are about `centre` (3,) [m], and lengths are in the unit `length_unit` [m]. A difference to the origin
-        is a known point. A difference between two unknown points depends on the rotation alone.
+        is a known point. Other differences depend on the rotation alone.
         """
         tied, size = (
             (self.start_and_end_indices == self.origin_index).any(axis=0),
@@ -265,7 +263,7 @@ class DifferenceRows(ControlRows):
         )
         place = np.where(self.start_indices == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
         arm = self.declared_points / np.where(size > 0.0, size, 1.0)
-        derivatives = rigid_motion_design(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(
+        derivatives = rigid_motion_jacobian(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(
             -1, 3, 6
         )
         derivatives[~tied, :, :3] = 0.0
@@ -274,11 +272,11 @@ class DifferenceRows(ControlRows):
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Observation equations of k levelled stations: both tilts of the standing axis from the plumb line are zero."""
+    """Observation equations of k levelled stations: the two tilts of the standing axis from the plumb line are zero."""
 
     station_indices: Ints
     """Index of each of k levelled stations, (k,)."""
-    sigma: Floats
+    tilt_sigmas: Floats
     """Standard deviation of both tilts of each of k levelled stations, (k,) [rad]."""
     plumb_directions: Floats
     """Unit vector of the plumb line at each of k levelled stations, (k, 3)."""
@@ -305,15 +303,16 @@ class LevelRows:
 
     def with_min_sigma(self, min_sigma: float) -> LevelRows:
         """Copy of the equations, in which standard deviations below `min_sigma` [rad] are increased to this value."""
-        return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
+        raised = np.maximum(self.tilt_sigmas, min_sigma)
+        return self if np.all(self.tilt_sigmas == raised) else replace(self, tilt_sigmas=raised)
 
     def axis_tilts(self, rotation: Floats) -> Floats:
-        """Horizontal components (k, 2) of k standing axes relative to plumb lines, from S rotations (S, 3, 3)."""
+        """Tilts (k, 2) [rad] of k standing axes from their plumb lines, for the rotations (S, 3, 3) of S stations."""
         axis = rotation[self.station_indices] @ VERTICAL
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 
     def tilt_derivatives(self, rotation: Floats) -> Floats:
-        """Derivatives (k, 2, 3) of two tilts of k stations by the rotation vectors in the network frame."""
+        """Derivatives (k, 2, 3) of the two tilts of k stations by their rotation vectors in the network frame."""
         return -self.horizontal_axes @ cross_matrix(rotation[self.station_indices] @ VERTICAL)
 
 
@@ -323,7 +322,7 @@ class YawRows:
 
     station_indices: Ints
     """Index of each of k stations with a known yaw, (k,)."""
-    sigma: Floats
+    yaw_sigmas: Floats
     """Standard deviation of each of k known yaws, (k,) [rad]."""
     yaws: Floats
     """Known yaws of k stations, counter-clockwise from x, (k,) [rad]."""
@@ -345,39 +344,40 @@ class YawRows:
 
     def with_min_sigma(self, min_sigma: float) -> YawRows:
         """Copy of the equations, in which standard deviations below `min_sigma` [rad] are increased to this value."""
-        return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
+        raised = np.maximum(self.yaw_sigmas, min_sigma)
+        return self if np.all(self.yaw_sigmas == raised) else replace(self, yaw_sigmas=raised)
 
     def yaw_residuals(self, rotation: Floats) -> Floats:
         """Declared minus adjusted yaws (k,) [rad] of the k stations, from the rotations (S, 3, 3) of all S stations."""
         headings = rotation[self.station_indices, :, 0]
         return wrap_angle(self.yaws - np.arctan2(headings[:, 1], headings[:, 0]))
 
-    def derivative(self, rotation: Floats) -> Floats:
-        """Derivatives (k, 3) of the k adjusted yaws by the rotation vectors in the network frame."""
+    def yaw_derivatives(self, rotation: Floats) -> Floats:
+        """Derivatives (k, 3) of the yaws of k stations by their rotation vectors in the network frame."""
         headings = rotation[self.station_indices, :, 0]
         horizontal = headings * [1.0, 1.0, 0.0]
         return np.cross(headings, np.cross(VERTICAL, horizontal) / np.sum(horizontal**2, axis=1, keepdims=True))
 
 
 MAX_PARALLEL_PLUMB_ANGLE = 1e-2
-"""Largest angle [rad] between plumb lines that count as parallel, so that they do not determine the yaw of the network;
-it corresponds to 64 km on the earth."""
+"""Largest angle [rad] between plumb lines that count as parallel. Parallel plumb lines do not determine the yaw of the
+network. The angle corresponds to 64 km on the earth."""
 
 
 def free_motions(
     control: ControlRows, marks: ControlRows, differences: DifferenceRows, level_rows: LevelRows, yaw_rows: YawRows
 ) -> Floats:
-    """Rigid motions (6, f) that no known point, difference, level or yaw fixes: columns of translation and rotation.
+    """Rigid motions (6, f) of the network that no known point, difference, level or yaw fixes.
 
-    The number f depends on the constraints: 0 with three known points that are not collinear, 4 with levels alone, 6
-    without constraints.
+    Each column is a translation and a rotation. Their number f is 0 with three known points that are not collinear, 4
+    with levels alone, 6 without reference values.
     """
     controls = [group for group in (control, marks) if len(group)]
     points = np.concatenate([group.declared_points for group in controls]) if controls else np.zeros((1, 3))
     centre = points.mean(axis=0)
     radius = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
     constraint_rows = [
-        rigid_motion_design((group.declared_points - centre) / radius)[group.is_declared_coordinate.ravel()]
+        rigid_motion_jacobian((group.declared_points - centre) / radius)[group.is_declared_coordinate.ravel()]
         for group in controls
     ]
     if len(differences):

@@ -1,4 +1,4 @@
-"""Significance levels of all tests, and limits that several tests share.
+"""Significance levels of all statistical tests, and limits that several tests share.
 
 The levels follow Baarda's tests of networks: 5 % for the global test, 1 % for all tests of single hypotheses together,
 0.1 % (with a power of 80 %) for one hypothesis that was chosen beforehand.
@@ -14,72 +14,72 @@ import numpy as np
 GLOBAL_TEST_LEVEL = 0.05
 """Significance level of the test of a whole model, such as the global test of a network by chi-square."""
 FAMILY_WISE_LEVEL = 0.01
-"""Joint significance level of all tests of single hypotheses: probability that a recording without errors fails at
-least one of them (correction by Sidak, Bonferroni or Holm)."""
+"""Family-wise significance level of all tests of single hypotheses: probability that a recording without errors fails
+at least one of them (correction by Sidak, Bonferroni or Holm)."""
 SINGLE_TEST_LEVEL = 0.001
-"""Significance level of a test of one hypothesis that was selected before the data were seen."""
+"""Significance level of the test of one hypothesis that was chosen before the data were known."""
 TEST_POWER = 0.8
 """Power of a test: probability that it detects an error of the minimal detectable size."""
 
 MIN_SIGNIFICANT_SIGMAS = 2.0
-"""Smallest ratio of a reported estimate to its standard deviation: two-sided 5 %, the coverage factor of the GUM (JCGM
-100, 6.2).
+"""Smallest ratio of an estimate to its standard deviation at which a sentence reports the estimate: two-sided 5 %, the
+coverage factor of the GUM (JCGM 100, 6.2).
 """
 MAX_CHANCE_SIGMAS = 4.0
-"""Largest ratio of an error to its standard deviation that counts as chance: 1 of 16,000 normal variates is larger."""
-MIN_CLEAR_SIGMAS = 5.0
+"""Largest ratio of an error to its standard deviation that noise may explain: 1 of 16,000 normal variates is larger."""
+MIN_CERTAIN_ERROR_SIGMAS = 5.0
 """Smallest ratio of an error to its standard deviation at which the error is significant among any number of tests: 1
 of 1.7 million normal variates exceeds it.
 """
-MIN_GROSS_SIGMAS = 30.0
-"""Smallest residual of a reading with a gross error, in robust standard deviations. The residual must also exceed
-`MAX_TRACKER_ERROR` [m], a limit that noise alone exceeds in a large hall.
+MIN_GROSS_ERROR_SIGMAS = 30.0
+"""Smallest residual of a reading with a gross error, in robust standard deviations. As a displacement the residual must
+also exceed `MAX_TRACKER_ERROR`.
 """
 MAX_TRACKER_ERROR = 1e-3
 """Largest displacement [m] of a measured point by errors of a tracker, for ranges up to
-`MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT`. A pointing with a larger error has a gross error. """
+`MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT`. A larger displacement is a gross error."""
 MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
 MIN_SIGMAS_BEYOND_NOISE = 50.0
-"""Residual, in declared standard deviations, above which noise is no explanation, even if it is ten times as large as
+"""Residual, in declared standard deviations, above which noise does not explain it, even noise ten times as large as
 declared."""
 MIN_CHECKED_REDUNDANCY = 0.05
-"""Redundancy number above which other observations check a reading, a level or a mean. At this limit an error has 20
-times the size of its residual.
+"""Redundancy number above which a reading, level or mean counts as checked by other observations. At this limit an
+error is 20 times as large as the residual that it causes.
 """
 MIN_DOF_FOR_ESTIMATED_NOISE = 15
 """Smallest number of degrees of freedom of an estimated sigma0 that may replace the declared noise; its relative
 standard deviation is then 1 / sqrt(2 * 15) = 18 %. """
 MIN_REPEATS_FOR_VARIANCE = 4
-"""Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test of their
-separate noise; with two or three, a single outlier has the same effect.
+"""Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test that their
+noise differs from other noise. With two or three, a single outlier has the same effect.
 """
 MIN_MEAN_REPEATS = 1.5
-"""Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements.
-Half of the occupations or targets are then repeated. Without repeats a displacement is not distinguishable from noise,
-or is part of the coordinates.
+"""Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements of
+reflectors. Without repeated pointings a displacement is not distinguishable from noise; without repeated occupations it
+is part of the coordinates.
 """
 MIN_EQUIVALENT_SQUARED_CORRELATION = 0.9
-"""Squared correlation of two residuals or design columns, above which errors of both are indistinguishable: one
-explains 9/10 of the chi-square of the other. """
+"""Squared correlation of the effects of two errors on the residuals, above which the errors are indistinguishable: one
+error explains 9/10 of the chi-square of the other."""
 MIN_MISFIT_RATIO = 10.0
-"""Ratio of the misfits of two models of the same points (with and without a declared datum, a mirror image, another
-unit), above which the model with the larger misfit is wrong. Correct coordinates have misfits of the size of the noise,
-mirrored or misread coordinates have misfits of the size of the network.
+"""Ratio of the misfits of two models of the same points (such as a network and its mirror image, or two units), above
+which the model with the larger misfit is wrong. Correct coordinates have misfits of the size of the noise, mirrored or
+misread coordinates have misfits of the size of the network.
 """
 MAX_SINGLE_ERROR_FRACTION = 0.1
-"""Largest fraction of outliers among readings or pointings that count as single errors. If more are rejected, the
-declared noise or a unit is wrong.
+"""Largest fraction of outliers among the readings or pointings of a recording that may be single errors. If more are
+rejected, the declared noise or a unit is wrong.
 """
 MIN_FAULTY_FRACTION_OF_GROUP = 0.5
-"""Fraction of rejected readings of a station or target (the majority), above which the error is ascribed to the station
-or target and not to single readings.
+"""Fraction of rejected readings of a station or target (one half), above which the error is ascribed to the station or
+target and not to single readings.
 """
 MIN_REPORTED_PROBABILITY = 0.01
 """Posterior probability above which an alternative hypothesis is reported."""
 MIN_LOG_EVIDENCE_GAIN = 3.0
 """Smallest gain of log evidence of a selected hypothesis: odds of 20 to 1, strong on the scale of Kass and Raftery."""
 MIN_LOG_EVIDENCE_CERTAIN = -float(np.log(SINGLE_TEST_LEVEL))
-"""Gain of log evidence above which a hypothesis counts as certain (odds of 1 to `SINGLE_TEST_LEVEL`). A hypothesis with
-a log evidence that is lower by this amount is negligible.
+"""Gain of log evidence above which a hypothesis counts as certain: odds of 1 to `SINGLE_TEST_LEVEL`. A hypothesis whose
+log evidence is lower by this amount than that of a rival is negligible.
 """

@@ -1,4 +1,4 @@
-"""Data snooping: duplicate rows, undetermined targets, gross errors before the adjustment, outliers in the adjustment.
+"""Data snooping: removal of duplicate rows, undetermined targets, gross errors before and outliers in the adjustment.
 
 Rejected readings are tested again after each solution, and are used again if they agree with it.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
-    critical_w,
+    critical_normalised_residual,
     noise_factor_from_residuals,
     normalise_residuals,
     redundancy_numbers,
@@ -18,7 +18,7 @@ from ltsim.adjustment.reliability import (
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
     MIN_FAULTY_FRACTION_OF_GROUP,
-    MIN_GROSS_SIGMAS,
+    MIN_GROSS_ERROR_SIGMAS,
     MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT,
 )
 from ltsim.adjustment.start import initial_network
@@ -32,28 +32,27 @@ from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import POINT_RANK_TOLERANCE, robust_sigma, scale_to_unit_diagonal, to_dense
-from ltsim.solve.elimination import BlockFactor, SingularSystemError
+from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of equal rows that count as copies in a recording without a clock; all repeated pointings must then
-be equal. """
-MAX_REWEIGHTINGS = 8
+"""Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must be equal
+too, because two pointings may be equal by chance."""
+MAX_REWEIGHTINGS_BEFORE_SNOOPING = 8
 """Largest number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
-"""Largest number of solutions until the set of rejected readings is stable. Readings that still change between rejected
-and accepted remain rejected.
-"""
-MAX_INTERMEDIATE_STEPS = 10
-"""Largest number of Gauss-Newton steps of each solution during data snooping, except the last."""
-MAX_PREDICTION_SIGMA = 100.0
-"""Standard deviation of the prediction of a rejected reading, in standard deviations of the reading, above which all
-readings to its target, or of its set-up, are rejected.
-"""
+"""Largest number of solutions in data snooping until the set of rejected readings is stable. Readings that still
+alternate between rejected and used remain rejected."""
+MAX_STEPS_PER_SNOOPING_PASS = 10
+"""Largest number of Gauss-Newton steps of each solution in data snooping; the last solution has no such limit."""
+MAX_SIGMA_OF_PREDICTED_READING = 100.0
+"""Standard deviation of a prediction of a rejected reading by the used readings, in standard deviations of the reading.
+Above it the used readings hardly determine the target or set-up, and all readings of this target or set-up are
+rejected."""
 
 
 def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
-    """Recording in which the readings of copied rows are deleted, and the number of these rows."""
+    """Recording without the readings of rows that are exact copies of earlier rows, and the number of these rows."""
     is_copied = _is_copied_row(recording)
     if not is_copied.any():
         return recording, 0
@@ -63,8 +62,7 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 def _is_copied_row(recording: Recording) -> Bools:
     """Flags (n,) of n rows, True for exact copies of an earlier row with equal time, set-up, target and face.
 
-    Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
-    equal.
+    Without times, two pointings may be equal by chance; rows are then copies only if all repeated pointings are equal.
     """
     sorted_readings = np.sort(recording.readings, axis=None)
     if not np.any(sorted_readings[1:] == sorted_readings[:-1]):
@@ -92,7 +90,7 @@ def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
 def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem without the readings and known differences of undetermined targets.
 
-    Reference lengths to these targets lose their weight.
+    Reference lengths to these targets get no weight.
     """
     while True:
         loose = is_undetermined_target(problem, state)
@@ -116,21 +114,21 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,) of T targets, True if the observations do not determine its position, even with known stations."""
+    """Flags (T,), True for those of T targets that would be undetermined even if all stations were known."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
     is_doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
     if not is_doubtful.any():
         return is_doubtful
-    weights = np.where(problem.is_used_reading, 1.0 / problem.sigma, 0.0)[:, :, None]
+    weights = np.where(problem.is_used_reading, 1.0 / problem.reading_sigmas, 0.0)[:, :, None]
     whitened_rows = np.where(
         problem.is_used_reading[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0
     )
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(whitened_rows, 1, 2) @ whitened_rows)
     gauge, control = problem.gauge_rows, problem.control_rows
-    along = gauge.unit_vectors(state.target_points) / gauge.total_sigmas[:, None]
+    along = gauge.line_directions(state.target_points) / gauge.total_sigmas[:, None]
     for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.point_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
@@ -148,7 +146,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
 
 
 def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
-    """Sentence on a station whose targets do not determine its pose; empty if there is no such station.
+    """Sentence on a station that measured too few targets for its pose; empty if there is no such station.
 
     Set-ups over marks and stations without readings are not considered.
     """
@@ -165,7 +163,7 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
     levelled = deficient_names[0] in problem.level_rows.station_indices
     phrase = "two targets that are not above one another" if levelled else "three targets that are not on one line"
     name = recording.stations[deficient_names[0]]
-    return f"station {name} sees fewer than {phrase}: its pose is undetermined; measure more targets from it"
+    return f"station {name} measures fewer than {phrase}: its pose is undetermined; measure more targets from it"
 
 
 # --- gross errors before the adjustment ---------------------------------------------------------------------------
@@ -188,10 +186,10 @@ class ScreenedNetwork(NamedTuple):
 def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     """Start values of a network, and its pointings with gross errors; raises NetworkError for unconnected stations.
 
-    Gross pointings have far larger misclosures than other pointings, for example because of an exchanged reflector or a
-    wrong unit in one row. A long chain of stations that are joined one by one has large misclosures too. If any
-    misclosure is large, the network is therefore adjusted with reduced weights of such pointings until the set of gross
-    pointings is stable.
+    Gross pointings, for example to an exchanged reflector or with a wrong unit, have far larger misclosures than other
+    pointings. Start values of a long chain of stations have large misclosures too, because errors accumulate. If any
+    misclosure is large, the network is therefore adjusted, with reduced weights of these pointings, until the set of
+    gross pointings is stable.
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
@@ -210,7 +208,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
 
 
 def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats:
-    """Misclosure of each of n pointings as a displacement of the point, divided by the limit of a gross error, (n,)."""
+    """Misclosures (n,) of n pointings as displacements of the point, divided by the limit of a gross error."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -220,7 +218,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
     limit = np.maximum(
         MAX_TRACKER_ERROR * np.maximum(1.0, range_ / MIN_RANGE_OF_PROPORTIONAL_ERROR_LIMIT),
-        MIN_GROSS_SIGMAS * robust_sigma(miss),
+        MIN_GROSS_ERROR_SIGMAS * robust_sigma(miss),
     )
     return miss / limit
 
@@ -228,13 +226,14 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
 def _weighted_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
-    """State after one Gauss-Newton step, and the squared step length in standard deviations; 0 for a singular system.
+    """State after one Gauss-Newton step, and squared length of the step in standard deviations; 0 if singular.
 
     The standard deviations of the readings of n pointings are multiplied by `sigma_factors` (n, 1).
     """
     try:
-        system = replace(problem, sigma=problem.sigma * sigma_factors).linear_system(state, prediction)
-        step = BlockFactor(system).step()
+        weighted_problem = replace(problem, reading_sigmas=problem.reading_sigmas * sigma_factors)
+        system = weighted_problem.linear_system(state, prediction)
+        step = FactorisedNormals(system).step()
     except SingularSystemError:
         return state, 0.0
     return problem.retract(state, step), float(np.sum((system.design @ step) ** 2))
@@ -248,12 +247,12 @@ def snoop_readings(
 ) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution; `state` is an approximate solution.
 
-    Reweighted least squares gives a network that many outliers do not distort. Readings that contradict it are
-    rejected. Data snooping follows: in up to `max_passes` solutions all used and rejected readings are tested again.
+    Reweighted least squares gives a network that outliers hardly distort. Readings that contradict it are rejected.
+    Data snooping follows: after each of up to `max_passes` solutions all used and rejected readings are tested again.
     """
-    limit = critical_w(int(problem.is_used_reading.sum()))
+    limit = critical_normalised_residual(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(
-        problem, state, int(problem.is_used_reading.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
+        problem, state, int(problem.is_used_reading.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS_BEFORE_SNOOPING
     )
     try:
         rejected = _is_newly_rejected(problem, state, limit)
@@ -265,7 +264,7 @@ def snoop_readings(
         reduced_problem = drop_undetermined_targets(
             replace(problem, is_used_reading=problem.is_used_reading & ~rejected), state
         )
-        solution = solve(reduced_problem, state, max_iterations=MAX_INTERMEDIATE_STEPS)
+        solution = solve(reduced_problem, state, max_iterations=MAX_STEPS_PER_SNOOPING_PASS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # too many readings are rejected: the others do not determine the network
             if not rejected.any():
@@ -303,17 +302,17 @@ def snoop_readings(
 def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
     """Flags (n, 3) of used readings of n pointings whose normalised residual exceeds `limit` times the noise factor.
 
-    Raises SingularSystemError if unknowns are undetermined.
+    The noise factor is estimated from the residuals. Raises SingularSystemError if unknowns are undetermined.
     """
     prediction = problem.model.linearise(state)
     readings, system = prediction.readings, problem.linear_system(state, prediction)
     del prediction
-    w, scale, _ = _normalised_residuals_and_noise(problem, problem, readings, BlockFactor(system))
+    w, scale, _ = _normalised_residuals_and_noise(problem, problem, readings, FactorisedNormals(system))
     return np.asarray(w > limit * scale)
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of S set-ups, True if more than half of its used readings are rejected (`is_rejected`)."""
+    """Flags (S,) of S set-ups, True if more than half of the readings are rejected; `is_rejected` (n, 3) flags them."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
@@ -329,16 +328,16 @@ def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) ->
 
 def _absolute_residuals_of_prediction(problem: NetworkProblem, readings: Floats) -> Floats:
     """Absolute residuals (n, 3) of n pointings in standard deviations, from predicted `readings`; 0 if unmeasured."""
-    return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
+    return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.reading_sigmas))
 
 
 def prediction_error_sigmas(
     problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
-    """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
+    """Standard deviations (k,) of the differences of k rejected readings from their predictions by the used readings.
 
-    `is_omitted` (n, 3) flags the rejected readings of n pointings. `prediction` contains the predicted readings at the
-    solution and their derivatives; it is computed by default.
+    The unit is the declared standard deviation of the reading. `is_omitted` (n, 3) flags the rejected readings of n
+    pointings. `prediction` contains predicted readings at the solution and derivatives; it is computed if None.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
@@ -348,11 +347,11 @@ def prediction_error_sigmas(
 
 
 def _normalised_residuals_and_noise(
-    problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, normal_equations: BlockFactor
+    problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, normal_equations: FactorisedNormals
 ) -> tuple[Floats, float, Floats]:
-    """Absolute normalised residuals (n, 3) of n pointings in `reduced_problem`, noise factor, redundancy (n, 3).
+    """Absolute normalised residuals (n, 3) of n pointings, estimated noise factor, and redundancy numbers (n, 3).
 
-    `readings` (n, 3) are the predicted readings, `normal_equations` the factorised normal equations at the same state.
+    `readings` (n, 3) are the predicted readings, `normal_equations` those of `reduced_problem` at the same state.
     """
     redundancy = redundancy_numbers(reduced_problem, normal_equations)
     w = normalise_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
@@ -366,7 +365,7 @@ def _is_rejected_in_repeated_test(
     is_rejected: Bools,
     limit: float,
 ) -> Bools:
-    """Flags (n, 3) of the rejected readings of n pointings, after all readings are tested again against `limit`."""
+    """Flags (n, 3) of rejected readings of n pointings, after all readings were tested again against `limit`."""
     assert solution.factor is not None
     out = is_rejected & problem.is_used_reading
     targets, stations = problem.model.recording.target, problem.model.recording.station
@@ -384,7 +383,7 @@ def _is_rejected_in_repeated_test(
         )
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _absolute_residuals_of_prediction(problem, readings)[out] / spread > limit * scale
-        unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
+        unpredicted = np.argwhere(out)[spread > MAX_SIGMA_OF_PREDICTED_READING, 0]
         is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]
         ]  # the used readings of such a set-up do not determine its pose

@@ -1,4 +1,4 @@
-"""Approximate coordinates from the recording alone: stations are joined one by one, in closed form if possible."""
+"""Approximate coordinates of stations and targets from a recording: stations are joined to the network one by one."""
 
 from dataclasses import replace
 
@@ -24,21 +24,22 @@ from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, sma
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "positions", "bearings")
-"""Methods for first coordinates: known points, points of one station, ranges alone, declared positions, directions."""
+"""Methods for the first coordinates of a network: known points, the points of one station, ranges alone, declared
+positions, horizontal directions."""
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
     """Start positions (S, 3), rotations (S, 3, 3) of S stations; T targets (T, 3); flags (T,) of unconnected targets.
 
-    Levels and known points define the frame if there are any, otherwise the first station. The station with most known
-    targets is joined next. If too few targets were measured with range and both angles, beams are intersected and
-    stations resected. A network of ranges alone starts with a closed-form solution. Unconnected targets get the mean
-    position of the other targets and must be removed. Coordinates are in metres.
+    Levels and known points define the frame if there are any, otherwise the first station. The station that measured
+    most targets with coordinates is joined next. If too few targets were measured with range and both angles, beams are
+    intersected and stations resected. A network of ranges alone starts with a closed-form solution. Unconnected targets
+    get the mean position of the other targets and must be removed by the caller. Coordinates are in metres.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
     if not recording.is_measured[:, :2].any():
-        message = "the recording contains only elevations: horizontal positions and ranges are undetermined; "
+        message = "the recording contains only elevations, which do not determine horizontal positions; "
         raise NetworkError(message + "measure azimuths or distances too")
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
     frame = DeclaredFrame.from_recording(recording)
@@ -52,13 +53,13 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
 
 class NetworkInitialiser:
-    """Computation of approximate coordinates: stations are joined one by one, at first in a local frame.
+    """Computation of approximate coordinates: stations are joined to the network one by one, first in a local frame.
 
     Parameters
     ----------
     recording : Recording
     station_target_pairs : StationTargetPairs
-        Completely measured targets of each station, in the frame of the station.
+        Targets that each station measured with range and both angles, in the frame of the station.
     frame : DeclaredFrame
     """
 
@@ -79,16 +80,10 @@ class NetworkInitialiser:
         self._open_lines: list[tuple[int, int]] = []
 
     def run(self, method: str) -> None:
-        """Initialisation from one of `INITIALISATION_METHODS`, and transformation to the declared frame."""
+        """Computation of all coordinates, with first coordinates by one of `INITIALISATION_METHODS`."""
         getattr(self, f"_begin_with_{method}")()
-        steps = (
-            self._join_by_cloud,
-            self._join_by_yaw,
-            self._locate_targets_and_marks,
-            self._join_by_fit,
-            self._to_declared_frame,
-            self._resect_horizontally,
-        )
+        joins = self._join_by_cloud, self._join_by_yaw, self._locate_targets_and_marks, self._join_by_fit
+        steps = (*joins, self._to_declared_frame, self._resect_horizontally)
         while not self.is_complete and any(step() for step in steps):
             pass
         self._to_final_frame()
@@ -106,7 +101,7 @@ class NetworkInitialiser:
     # --- present coordinates ---------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
-        """Present positions (T, 3) [m] of T targets: medians over joined stations, or fitted or declared positions."""
+        """Present positions (T, 3) [m] of T targets: medians over joined stations, else fitted or declared; or NaN."""
         places = self._located_targets.copy()
         complete_rows = np.flatnonzero(self._is_covered)
         places[complete_rows] = self._pairs.medians_by_target(self._pair_points, complete_rows)
@@ -114,19 +109,21 @@ class NetworkInitialiser:
 
     @property
     def _has_coordinates(self) -> Bools:
+        """Flags (T,), True for those of the T targets that have coordinates already."""
         return self._is_covered | np.isfinite(self._located_targets[:, 0])
 
     def _shared_target_counts(self) -> Ints:
-        """Number (S,) of targets with coordinates that each of S stations measured completely."""
+        """Numbers (S,) of targets with coordinates that each of S stations measured with range and both angles."""
         stations = self._pairs.station_indices[self._has_coordinates[self._pairs.target_indices]]
         return np.bincount(stations, minlength=len(self._is_joined))
 
     def _position_from_mark(self, station: int) -> Floats | None:
-        """Position (3,) [m] of an unjoined station whose mark has coordinates; else None."""
+        """Position (3,) [m] of a station over a mark with coordinates; otherwise None."""
         place = self._frame.marks.position_from_mark(station, self._positions, self._target_points())
         return place if np.isfinite(place).all() else None
 
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
+        """Assignment of a pose to a station, and of coordinates to the targets that it measured and to its mark."""
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
         pairs = self._pairs.pair_slice_of_station(station)
@@ -137,7 +134,7 @@ class NetworkInitialiser:
             self._located_targets[mark] = position - self._frame.marks.instrument_offsets[station]
 
     def _join_by_cloud(self) -> bool:
-        """True if the station with most known targets was joined: at least three targets, or two if it is levelled."""
+        """True if a station was joined by aligning its points to three or more targets, or two if it is levelled."""
         have = self._has_coordinates
         shared = np.where(self._is_joined, -1, self._shared_target_counts())
         for station in np.argsort(-shared, kind="stable").tolist():
@@ -159,7 +156,7 @@ class NetworkInitialiser:
         return False
 
     def _join_by_yaw(self) -> bool:
-        """True if a station with a known yaw over a known mark was joined, which requires the declared frame."""
+        """True if a station was joined by its known yaw and its known mark, which requires the declared frame."""
         oriented_indices = np.flatnonzero(self._frame.has_declared_yaw & ~self._is_joined).tolist()
         for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
@@ -174,7 +171,7 @@ class NetworkInitialiser:
         return np.where(np.isnan(placed), self._located_targets[targets], placed)
 
     def _locate_targets_and_marks(self) -> bool:
-        """True if a target or mark got coordinates from incomplete readings of joined stations."""
+        """True if a target or mark got coordinates from readings of joined stations without range or an angle."""
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
@@ -185,11 +182,12 @@ class NetworkInitialiser:
         return has_new
 
     def _is_fit_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus the target index."""
+        """True unless a fit with as many neighbours failed; `key` is a station index, or -1 minus a target index."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
     def _locate_point(self, pointing_indices: Ints) -> Floats | None:
+        """Point (3,) [m] of a target from pointings of joined stations; None if they do not determine it."""
         station = self._recording.station[pointing_indices]
         position, rotation = self._positions[station], self._rotations[station]
         sight = self._readings.select_rows(pointing_indices)
@@ -207,7 +205,7 @@ class NetworkInitialiser:
         return fit_point(replace(sight, readings=front), position, rotation)
 
     def _join_by_fit(self) -> bool:
-        """True if a station was joined by a fit of all its readings to known targets."""
+        """True if a station was joined by a fit of all its readings to targets with coordinates."""
         places, recording = self._target_points(), self._recording
         usable = ~self._is_joined[recording.station] & np.isfinite(places[recording.target, 0])
         groups = group_rows(recording.station, np.flatnonzero(usable))
@@ -219,14 +217,14 @@ class NetworkInitialiser:
             sight = self._readings.select_rows(rows)
             pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
             if pose is None and level and stand is not None:  # the azimuths alone determine the heading
-                pose = fit_pose(sight.azimuth_subset, places[recording.target[rows]], is_levelled=True, position=stand)
+                pose = fit_pose(sight.only_azimuths, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
                 return True
         return False
 
     def _resect_horizontally(self) -> bool:
-        """True if a levelled station was joined by horizontal directions to and from other stations."""
+        """True if a levelled station was joined by horizontal directions (backsight and resection)."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
@@ -252,13 +250,14 @@ class NetworkInitialiser:
     # --- frame -----------------------------------------------------------------------------------------------------
 
     def _transform(self, rotation: Floats, translation: Floats) -> None:
+        """Rigid motion of all present coordinates by a rotation (3, 3) and a translation (3,) [m]."""
         self._rotations = rotation @ self._rotations
         points = (self._positions, self._pair_points, self._located_targets)
         moved_points = (places @ rotation.T + translation for places in points)
         self._positions, self._pair_points, self._located_targets = moved_points
 
     def _to_declared_frame(self) -> bool:
-        """True if the network was transformed to the declared frame, which requires enough declared points."""
+        """True if the network was moved to the declared frame, which requires enough declared points."""
         if self._is_in_frame or not self._frame.has_declared_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
@@ -273,7 +272,7 @@ class NetworkInitialiser:
         return True
 
     def _to_final_frame(self) -> None:
-        """Transformation of the network to the declared frame, the floor plan, or the frame of the first station."""
+        """Motion of the network to the declared frame, the floor plan, or the frame of the first station."""
         self._rotate_stations_without_angles()
         if self._is_in_frame or not self._is_joined.any() or self._to_declared_frame():
             return
@@ -294,7 +293,7 @@ class NetworkInitialiser:
             self._transform(*motion)
 
     def _rotate_stations_without_angles(self) -> None:
-        """Assignment of rotations to stations without angles: upright like other stations, or as on the floor plan."""
+        """Assignment of rotations to stations without angles: upright as the other stations or the floor plan."""
         is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0
         if reads_angles.any():
@@ -312,13 +311,13 @@ class NetworkInitialiser:
     # --- initialisation methods ------------------------------------------------------------------------------------
 
     def _begin_with_frame(self) -> None:
-        """Start with the declared coordinates of targets and marks."""
+        """First coordinates: declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
         self._is_in_frame = self._is_levelled = self._frame.has_declared_positions
 
     def _begin_with_cloud(self) -> None:
-        """Start with one station and the targets that it measured completely."""
+        """First coordinates: one station and the targets that it measured with range and both angles."""
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
@@ -330,7 +329,7 @@ class NetworkInitialiser:
         self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
-        """Start with a network of ranges between stations and common targets."""
+        """First coordinates: targets of a network of ranges between stations and common targets."""
         ranges = np.full((len(self._is_joined), len(self._located_targets)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front_readings[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
@@ -341,7 +340,7 @@ class NetworkInitialiser:
             self._located_targets[targets], self._is_from_plan = placed
 
     def _begin_with_positions(self) -> None:
-        """Start with all declared positions, known or approximate, and mean rotations from azimuths."""
+        """First coordinates: all declared positions, known or approximate, and rotations from mean azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
@@ -354,7 +353,7 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Start with horizontal coordinates from directions of upright stations and horizontal lengths."""
+        """First coordinates: horizontal ones from directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():
@@ -382,13 +381,13 @@ class NetworkInitialiser:
 
     @property
     def undetermined_lines_text(self) -> str:
-        """Text on the lines whose horizontal length no reading determines; empty if there are none."""
+        """Text, for the end of a message, on lines whose horizontal length no reading determines; empty without any."""
         ends = [*self._recording.targets, *self._recording.stations]
         lines = names_text([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Result of `initial_network`: (positions, rotations, targets), and flags of unconnected targets."""
+        """Result of `initial_network`; raises NetworkError, with the given text, if a station is not connected."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
         targets = self._pairs.target_indices[self._pairs.pair_slice_of_station(nearest)]

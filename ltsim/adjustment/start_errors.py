@@ -1,4 +1,4 @@
-"""Errors for networks in which a station or all targets have no approximate coordinates."""
+"""Errors for networks in which a station, or all targets, got no approximate coordinates."""
 
 import numpy as np
 
@@ -15,10 +15,12 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     Parameters
     ----------
     recording : Recording
-    is_joined : array of bool (S,)
-        True for those of the S stations that have coordinates. points : array (k, 3) Positions [m] of the k targets
-        that one of the other stations, the best connected one, shares with the network. undetermined_lines : str Text
-        on lines whose length no reading determines, for the end of the message; may be empty.
+    is_joined : (S,) bool
+        True for those of the S stations that have coordinates.
+    points : (k, 3) float, [m]
+        Positions of the k targets that the best connected of the other stations shares with the network.
+    undetermined_lines : str
+        Text on lines whose length no reading determines, for the end of the message; may be empty.
     """
     if is_joined.all():
         return
@@ -33,14 +35,14 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     raise NetworkError(
         f"station {lost}: {what}; its pose needs {need} (two between levelled stations, more if ranges or angles are "
         "missing), or approximate coordinates of all stations and targets; for a station over a target, set over = "
-        f'"TARGET"{undetermined_lines}'
+        f'"TARGET" in the set-up{undetermined_lines}'
     )
 
 
 def require_located_target(recording: Recording, has_coordinates: Bools) -> None:
-    """Check that at least one of T targets has approximate coordinates, flagged by `has_coordinates` (T,).
+    """Check that at least one of T targets has approximate coordinates; raises NetworkError.
 
-    Raises NetworkError if no target has.
+    `has_coordinates` (T,) flags the targets with coordinates.
     """
     if not has_coordinates.any():
         raise NetworkError(

@@ -1,4 +1,4 @@
-"""Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
+"""Motions of stations during their occupation, as effects that an adjustment estimates, and sentences on them.
 
 A tripod that sinks or was touched distorts all readings from it. The package `identification` identifies the stations
 that moved.
@@ -25,8 +25,8 @@ class UniformMotion(StationMotionEffect):
     """Motion of a station at a constant rate during its occupation.
 
     The parameters are the translation and rotation at the end of the occupation. The effect is not in the catalogue,
-    because many causes produce such a motion. Consecutive pointings to one target get the same time: a change between
-    them may be a motion of the target, and only later repeats show a motion of the station.
+    because it has many possible causes. Consecutive pointings to one target get one time, because a change between them
+    may be a motion of the target; only later repeats show a motion of the station.
     """
 
     name = "station-motion"
@@ -38,8 +38,7 @@ class UniformMotion(StationMotionEffect):
     scope = "station"
     """Kind of object that moves."""
     parameters = StationBump.parameters
-    """Components of the translation and rotation at the end of the occupation, with the names as for a sudden
-    motion."""
+    """Components of the translation and rotation at the end of the occupation, with the names of `StationBump`."""
 
     def motion(self, sightings: Sightings) -> Floats:
         """Derivatives (n, 6, 6) of the motion at each of n pointings by the six components of the final motion."""
@@ -52,7 +51,7 @@ class SuddenMotion(StationBump):
     """Sudden motion of a station, of any cause, between two of its pointings."""
 
     name = UniformMotion.name
-    """Name of the effect, common to both kinds of motion."""
+    """Name of the effect, the same as for a motion at a constant rate."""
 
 
 FittedMotion = UniformMotion | SuddenMotion
@@ -60,13 +59,13 @@ FittedMotion = UniformMotion | SuddenMotion
 
 
 def with_mean_times_of_consecutive_pointings(sightings: Sightings) -> Sightings:
-    """Sightings in which consecutive pointings from a station to one target all have the mean of their times."""
+    """Sightings in which consecutive pointings from one station to one target have the mean of their times."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating_numbers]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
-    """Station motions that an adjustment estimates, each with a sentence on its size."""
+    """Station motions that an adjustment estimates, each with a sentence for the user on its size."""
     first_column = 0
     for effect in adjustment.effects:
         columns = slice(first_column, first_column := first_column + len(effect.parameters))
@@ -76,7 +75,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
             parts = " and ".join(
                 _length_text(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
             )
-            moved = f"moves during its measurement, by {parts} in total"
+            moved = f"moves during its occupation, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
                 order = sightings.measurement_order[

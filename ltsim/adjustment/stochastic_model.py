@@ -1,4 +1,4 @@
-"""Stochastic model of a network: robust weights of all observations, variance components of groups of readings."""
+"""Stochastic model of a network: robust weights of observations, and variance components of groups of readings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import (
     MAX_CONVERGENCE_RATIO,
     MAX_DECISION_CHANGES,
@@ -25,35 +25,40 @@ from ltsim.solve.gauss_newton import (
 )
 
 HUBER_LIMIT = 2.0
-"""Residual, in robust standard deviations, above which Huber's weights decrease. The statistical efficiency for normal
-residuals is 97 %."""
+"""Residual, in robust standard deviations, above which Huber's weights are below 1. The statistical efficiency for
+normal residuals is 97 %."""
 CAUCHY_LIMIT = 2.385
-"""Residual, in robust standard deviations, at which Cauchy's weights are one half. The statistical efficiency for
-normal residuals is 95 %."""
+"""Residual, in robust standard deviations, at which Cauchy's weight is one half. The statistical efficiency for normal
+residuals is 95 %."""
 MAX_FRACTION_BEYOND_NOISE = 0.02
 """Largest fraction of residuals above `MIN_SIGMAS_BEYOND_NOISE` declared standard deviations that single errors
 explain. If the fraction is larger, Cauchy's weights are tried too.
 """
-MAX_ROBUST_STEPS = 25
-"""Largest number of reweighted steps. It limits how far many large errors of one target distort the network. With 60
-steps, a target that was displaced at random at every set-up was identified as three motions instead of one."""
-NOISE_KEYS = {
+MAX_STEPS_OF_ROBUST_FIT = 25
+"""Largest number of steps of a robust fit with all observations reweighted. With more steps many large errors of one
+target distort the network: with 60 steps, a target that was displaced at random at every set-up was identified as three
+motions."""
+NOISE_KEYS_BY_OBSERVABLE = {
     "distance": ("distance_mm", "distance_ppm"),
     "azimuth": ("azimuth_arcsec",),
     "elevation": ("elevation_arcsec",),
 }
 """Keys of the declared noise in `[instrument.noise]` of `setup.toml`, by observable."""
 SQUARED_ROBUST_STEP_TOLERANCE = 1e-2
-"""Squared length of a step, in standard deviations, below which the reweighting ends."""
+"""Squared length of a step, in units of the standard deviations of the unknowns, below which reweighting ends."""
 
 
 def noise_declaration_texts(recording: Recording, observable: str, factor: float) -> list[str]:
-    """Texts of the keys and values that declare the noise of an observable, multiplied by `factor`.
+    """Texts, such as "distance_mm to 0.02", with the keys and values that declare the noise of an observable.
 
-    They are for `[instrument.noise]` of the first instrument, such as "distance_mm to 0.02".
+    The values are the declared noise of the first instrument, multiplied by `factor`, for `[instrument.noise]`.
     """
     noise = recording.setup.instrument_named(recording.instruments[0]).noise
-    return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
+    return [
+        f"{key} to {factor * getattr(noise, key):.2g}"
+        for key in NOISE_KEYS_BY_OBSERVABLE[observable]
+        if getattr(noise, key)
+    ]
 
 
 def n_observation_equations(problem: NetworkProblem) -> int:
@@ -62,23 +67,23 @@ def n_observation_equations(problem: NetworkProblem) -> int:
 
 
 def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkState, Floats]:
-    """State of a fit with robust weights of all observations, and whitened residuals (m,) of all m equations.
+    """State of a fit with robust weights of readings and reference values, and whitened residuals (m,) of m equations.
 
     The method is that of `iterate_reweighted`; `state` is the start state.
     """
     return iterate_reweighted(
-        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS
+        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_STEPS_OF_ROBUST_FIT
     )
 
 
 def iterate_reweighted(
     problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
 ) -> tuple[NetworkState, Floats]:
-    """State by iteratively reweighted least squares, and whitened residuals (m,) of all m equations at this state.
+    """State of a fit by iteratively reweighted least squares, and whitened residuals (m,) of all m equations.
 
     Huber's weights permit a poor start state. If many residuals are large with these weights, Cauchy's weights are
-    tried too: they keep a good start state although many readings of one station or target contradict it. The result
-    with the smaller Cauchy objective is returned.
+    tried too: with them a good start state changes little, although many readings of one station or target contradict
+    it. The result with the smaller Cauchy objective is returned.
 
     Parameters
     ----------
@@ -86,7 +91,7 @@ def iterate_reweighted(
     state : NetworkState
         Start state.
     n_observations : int
-        Number of equations that are reweighted, the first ones.
+        Number of equations that are reweighted; these are the first equations of the problem.
     min_scale : float
         Lower bound of the robust standard deviation of the whitened residuals.
     max_steps : int
@@ -103,13 +108,13 @@ def iterate_reweighted(
 
 
 def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
-    """True if more than the fraction `MAX_FRACTION_BEYOND_NOISE` of the residuals exceeds `MIN_SIGMAS_BEYOND_NOISE`."""
+    """True if more than `MAX_FRACTION_BEYOND_NOISE` of the whitened residuals exceed `MIN_SIGMAS_BEYOND_NOISE`."""
     n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_SIGMAS_BEYOND_NOISE)
     return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 
 
 def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
-    """Index of the solution with the smallest Cauchy objective at a common scale, from whitened residuals of each."""
+    """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals of each."""
     scale = max(min(robust_sigma(whitened) for whitened in residuals_of_solutions), 1.0)
     return int(
         np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_solutions])
@@ -134,7 +139,7 @@ def _iterate_weights(
     max_steps: int,
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
-    """State by reweighted least squares with one weight function, and whitened residuals (m,) of all m equations.
+    """State of a fit by reweighted least squares with one weight function, and whitened residuals (m,) of m equations.
 
     The robust scale of the residuals never increases. Otherwise a large error that distorts the network would increase
     the scale and thus its weight (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step decreases
@@ -148,7 +153,7 @@ def _iterate_weights(
         root[:n_observations] = np.sqrt(weight_function(np.abs(system.whitened_residuals[:n_observations]) / scale))
         design = weight_rows(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(design, system.whitened_residuals * root, system.n_retained)).step()
+            step = FactorisedNormals(BlockSystem(design, system.whitened_residuals * root, system.n_retained)).step()
         except SingularSystemError:
             break
         state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
@@ -159,13 +164,14 @@ def _iterate_weights(
 
 
 NoiseGrouping = Literal["observable", "instrument"]
-"""Groups of readings with separate noise: by observable, or by observable and instrument."""
+"""Grouping of readings for the estimation of noise: one group per observable, or per observable and instrument."""
 GROUP_NOISE_FACTOR_TOLERANCE = 2e-3
-"""Relative change of the noise factors below which their iteration ends: a tenth of the standard deviation of a factor
-that is estimated from 1,250 readings.
+"""Relative change of the noise factors of groups of readings, below which their iteration ends: a tenth of the standard
+deviation of a factor that is estimated from 1,250 readings.
 """
 MIN_GROUP_REDUNDANCY = 3.0
-"""Redundancy above which the noise of a group is estimated; other groups keep their declared noise."""
+"""Sum of redundancy numbers above which the noise of a group of readings is estimated; other groups keep their declared
+noise."""
 
 
 @dataclass(frozen=True)
@@ -173,11 +179,11 @@ class VarianceComponent:
     """Estimated noise of one group of readings."""
 
     observable: str
-    """Name of the observable, or ``level``."""
+    """Name of the observable of the group; ``level`` for the group of all levels."""
     instrument: str
-    """Name of the instrument; '' if all instruments are one group."""
+    """Name of the instrument of the group; '' if all instruments are one group."""
     noise_factor: float
-    """Estimated factor on the declared standard deviations."""
+    """Estimated factor on the declared standard deviations of the group."""
     noise_factor_sigma: float
     """Standard deviation of `noise_factor`; infinite if it could not be estimated."""
     redundancy: float
@@ -193,9 +199,8 @@ def estimate_variance_components(
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
     """Problem with standard deviations scaled by group to agree with the residuals, its solution, and the estimates.
 
-    `reject_outliers` is a function that solves a problem and may reject readings. It is called with all readings that
-    `reading_mask` (n, 3) selects among those of n pointings and with the new noise, until the set of rejected readings
-    does not change.
+    `reject_outliers` is a function that solves a problem and may reject readings. It is called with the new noise and
+    all readings that `reading_mask` (n, 3) selects, until the set of rejected readings does not change.
 
     References
     ----------
@@ -239,8 +244,8 @@ def estimate_variance_components(
 def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:
     """Steps (g,) of g fixed-point iterations towards their limits, by the secant method.
 
-    `change` (g,) is the change of each value by the fixed-point function at the present values, `last_change` (g,) the
-    change at the previous values, and `last_step` (g,) the step from previous to present values. If `last_step` is 0,
+    `change` (g,) are the changes of the values by one fixed-point iteration at the present values, `last_change` (g,)
+    those at the previous values, and `last_step` (g,) the steps from previous to present values. If `last_step` is 0,
     the step is `change`.
     """
     slope = np.divide(change - last_change, last_step, out=np.full_like(change, -1.0), where=last_step != 0.0)
@@ -248,20 +253,23 @@ def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floa
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem with the readings that `reading_mask` selects, and with standard deviations multiplied by group factors.
+    """Problem with the readings that `reading_mask` (n, 3) selects, and standard deviations times group factors.
 
     `group_indices` (n, 3) is the group of each reading of n pointings. The last factor is that of the levels.
     """
-    levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
+    levels = replace(problem.level_rows, tilt_sigmas=problem.level_rows.tilt_sigmas * factor[-1])
     return replace(
-        problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, is_used_reading=reading_mask
+        problem,
+        reading_sigmas=problem.reading_sigmas * factor[group_indices],
+        level_rows=levels,
+        is_used_reading=reading_mask,
     )
 
 
 def _sums_by_group(
     problem: NetworkProblem, solution: Solution[NetworkState], group_indices: Ints, n_groups: int
 ) -> tuple[Floats, Floats]:
-    """Weighted sums of squared residuals (g,) and redundancies (g,) of g groups; the levels are the last group."""
+    """Weighted sums of squared residuals (g,), and of redundancy numbers (g,), of g groups; the last is the levels."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.whitened_residuals(solution.x)

@@ -1,4 +1,4 @@
-"""Structure of a network: columns of the unknowns in the design matrix, undetermined unknowns, singular networks."""
+"""Structure of a network adjustment: columns of the unknowns in the design matrix, and undetermined unknowns."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class UnknownColumns:
-    """Columns of the unknowns in the design matrix.
+    """Columns of the unknowns of a network in the design matrix.
 
-    The order is: poses, targets that are not eliminated, instrument parameters, parameters of additional effects,
-    eliminated targets. Set-ups over the same mark share the columns of their position, also with a target at this mark.
+    The order is: poses, targets that are not eliminated from the normal equations, instrument parameters, parameters of
+    additional effects, eliminated targets. Set-ups over one mark, and a target at this mark, share position columns.
     """
 
     pose_columns: Ints
@@ -43,9 +43,9 @@ class UnknownColumns:
 
     @property
     def position_columns(self) -> Ints:
-        """Columns of the positions of T targets, S set-ups and the origin, (T + S + 1, 3).
+        """Columns (T + S + 1, 3) in the design matrix of the positions of T targets, S set-ups and the origin.
 
-        The origin is fixed, and its columns have no meaning.
+        The origin, which stands for known marks, is fixed; its columns are arbitrary.
         """
         return np.concatenate([self.target_columns, self.pose_columns[:, :3], self.pose_columns[:1, :3]])
 
@@ -92,7 +92,7 @@ to the z axis (0.14 mrad, 900 m on the earth).
 
 @dataclass(frozen=True)
 class NetworkRows:
-    """Observations of a network (readings in use, reference values) and the columns of its unknowns."""
+    """Observation equations of a network (readings in use, reference values) and the columns of its unknowns."""
 
     model: MeasurementModel
     """Measurement model that predicts the readings."""
@@ -117,7 +117,7 @@ class NetworkRows:
 
     @cached_property
     def undetermined_unknowns(self) -> UndeterminedUnknowns:
-        """Unknowns that the kinds of observations leave undetermined, for any geometry of the network."""
+        """Unknowns that are undetermined because of the kinds of observations, such as heights without elevations."""
         return UndeterminedUnknowns.from_rows(self)
 
     @property
@@ -136,9 +136,10 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class UndeterminedUnknowns:
-    """Unknowns that the kinds of observations in use do not determine for any geometry of the network.
+    """Unknowns that are undetermined because of the kinds of observations in use, whatever the geometry of the network.
 
-    They are fixed at their present values. Stations and targets are given by their indices.
+    For example, heights are undetermined without elevations. Such unknowns are fixed at their present values. Stations
+    and targets are given by their indices.
     """
 
     unknowns: UnknownColumns
@@ -152,8 +153,7 @@ class UndeterminedUnknowns:
     stations_without_readings: Ints
     """Indices of stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags (T,), True for those of T targets without a used reading, without known coordinates and without a set-up on
-    them."""
+    """Flags (T,), True for those of T targets without any reading in use, known coordinates, or a set-up over them."""
     is_height_undetermined_target: Bools
     """Flags (T,), True for those of T targets with undetermined height: levelled set-ups measured only azimuths and
     horizontal distances to them.
@@ -161,17 +161,16 @@ class UndeterminedUnknowns:
     yaw_determined_stations: Ints
     """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""
     n_coordinates_of_unmeasured_targets: int
-    """Number of known coordinates of unmeasured targets, which do not count as observations."""
-    scale_target: Ints
-    """Index of a target whose distance from the first oriented station is fixed, as an array with one element or none.
-    The distance is fixed if the readings are directions alone and only approximate coordinates define the scale."""
+    """Number of known coordinates of unmeasured targets; they do not count as observations."""
+    scale_defining_target: Ints
+    """Index (1,) of a target whose distance from the first station with azimuths is fixed, because only approximate
+    coordinates define the scale of a network of directions alone; empty otherwise."""
     fixes_heights: bool
-    """True if all heights are undetermined and therefore fixed, so that no vertical translation remains for the datum.
-    """
+    """True if all heights are undetermined and therefore fixed, so that the datum fixes no vertical translation."""
 
     @classmethod
     def from_rows(cls, network: NetworkRows) -> UndeterminedUnknowns:
-        """Undetermined unknowns of a network, from the kinds of its observations."""
+        """Undetermined unknowns of a network, from the kinds of its observations (ranges, azimuths, levels...)."""
         recording, use, marks, levels = (
             network.model.recording,
             network.is_used_reading,
@@ -221,13 +220,15 @@ class UndeterminedUnknowns:
             is_unmeasured_target=~is_read,
             is_height_undetermined_target=height_free[: len(n_rows)],
             yaw_determined_stations=np.flatnonzero(azimuth),
-            scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
+            scale_defining_target=_scale_defining_target(network)
+            if _has_approximate_scale(network)
+            else np.zeros(0, dtype=np.int64),
             fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
         )
 
     @property
     def fixed_columns(self) -> Ints:
-        """Columns (h, 3) of the unknowns in each of the h equations that fix undetermined unknowns at their values."""
+        """Columns (h, 3) of the unknowns in the h equations that fix undetermined unknowns at their present values."""
         unknowns = self.unknowns
         single = [
             unknowns.target_columns[self.is_unmeasured_target],
@@ -241,7 +242,7 @@ class UndeterminedUnknowns:
             unknowns.pose_columns[self.yaw_undetermined_stations, 3:],
             np.repeat(unknowns.pose_columns[self.tilt_undetermined_stations, 3:], 2, axis=0),
         ]
-        column_groups.append(unknowns.target_columns[self.scale_target])
+        column_groups.append(unknowns.target_columns[self.scale_defining_target])
         return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixing_coefficients(self, state: NetworkState) -> Floats:
@@ -249,8 +250,8 @@ class UndeterminedUnknowns:
         yaw = state.station_rotations[self.yaw_undetermined_stations] @ VERTICAL
         tilt = np.swapaxes(state.station_rotations[self.tilt_undetermined_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
-            state.target_points[self.scale_target]
-            - state.station_positions[self.yaw_determined_stations[: len(self.scale_target)]]
+            state.target_points[self.scale_defining_target]
+            - state.station_positions[self.yaw_determined_stations[: len(self.scale_defining_target)]]
         )
         directions = arm / np.linalg.norm(arm, axis=1, keepdims=True)
         unit_vectors = np.zeros((self.n_fixing_equations - len(yaw) - len(tilt) - len(directions), 3))
@@ -259,9 +260,10 @@ class UndeterminedUnknowns:
 
     @property
     def fixed_pose_components(self) -> Bools:
-        """Flags (S, 6) of the fixed components of the poses of S stations: translation, then rotation.
+        """Flags (S, 6), True for components of the poses of S stations that are fixed because they are undetermined.
 
-        All three rotations of a station are flagged if its rotation about the standing axis is undetermined.
+        The components are translation, then rotation. All three rotations of a station are flagged if its rotation
+        about the standing axis is undetermined.
         """
         is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
         is_fixed[self.yaw_undetermined_stations, 3:] = True
@@ -276,7 +278,7 @@ class UndeterminedUnknowns:
         n_tilts = (
             len(self.yaw_undetermined_stations)
             + 2 * len(self.tilt_undetermined_stations)
-            + len(self.scale_target)
+            + len(self.scale_defining_target)
             + len(self.height_undetermined_stations)
             + 3 * len(self.stations_without_readings)
         )
@@ -284,7 +286,7 @@ class UndeterminedUnknowns:
 
     @property
     def datum_stations(self) -> Ints:
-        """Indices of the stations that define the datum: the first with a determined yaw, or all without azimuths."""
+        """Indices of the stations that define the datum: the first station with azimuths, or all if none has any."""
         return (
             self.yaw_determined_stations[:1]
             if self.fixes_datum_rotations
@@ -293,12 +295,12 @@ class UndeterminedUnknowns:
 
     @property
     def fixes_datum_rotations(self) -> bool:
-        """True if the datum fixes the rotation of its defining station, and not only translations."""
+        """True if the datum fixes the rotation of a station, which requires azimuths; otherwise only translations."""
         return len(self.yaw_determined_stations) > 0
 
 
 def _has_approximate_scale(network: NetworkRows) -> bool:
-    """True if the scale follows from approximate coordinates, and not from measurements or reference values."""
+    """True if only approximate coordinates define the scale of a network: no distance, length or two known points."""
     use, recording, control_axes = (
         network.is_used_reading,
         network.model.recording,
@@ -318,23 +320,23 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     return sum(target.datum and target.approximate_mm is not None for target in targets) > 1
 
 
-def _scale_target(network: NetworkRows) -> Ints:
-    """Index (1,) of a target whose azimuth the first station with azimuths measured; empty without azimuths."""
+def _scale_defining_target(network: NetworkRows) -> Ints:
+    """Index (1,) of the first target in the azimuths of the first station with azimuths; empty without azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.is_used_reading[:, 1])
     first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first_row]
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
-"""Parameters of a decorated function of a recording, after the recording."""
+"""Parameters of a decorated function that follow its first parameter, a recording."""
 DecoratedReturn = TypeVar("DecoratedReturn")
-"""Type of the result of a decorated function of a recording."""
+"""Type of the result of a decorated function whose first parameter is a recording."""
 
 
 def raise_for_singular_network(
     function: Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn],
 ) -> Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn]:
-    """Decorator: the function of a recording raises NetworkError instead of numpy's error for singular matrices."""
+    """Decorator for a function of a recording: numpy's error for a singular matrix becomes a NetworkError."""
 
     @wraps(function)
     def wrapper(
@@ -349,7 +351,7 @@ def raise_for_singular_network(
 
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
-    """Sentence on a singular network, with its station and its target with the fewest readings."""
+    """Sentence on a singular network, with the station and the target that have the fewest readings."""
     n_measured = recording.is_measured.sum(axis=1)
     stations = np.bincount(recording.station, n_measured, len(recording.stations))
     targets = np.bincount(recording.target, n_measured, len(recording.targets))
@@ -358,6 +360,6 @@ def _sparsest_measurement_sentence(recording: Recording) -> str:
         f"target {recording.targets[int(targets.argmin())]} has {targets.min():.0f}"
     )
     return (
-        f"the equations of the network are singular: its readings leave some unknowns undetermined ({clause}); "
+        f"the equations of the network are singular, because its readings leave some unknowns undetermined ({clause}); "
         "measure range and both angles to three or more common targets from each station"
     )

@@ -1,4 +1,4 @@
-"""Verdict on an adjustment from the global test, the tests of single readings, and declared and estimated noise."""
+"""Verdict on an adjustment: which test and which noise to trust, from the global test and the outlier tests."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -16,14 +16,14 @@ from ltsim.recordings.specification import noise_origin
 
 
 class VerdictCase(Enum):
-    """Conclusion from the tests of an adjustment."""
+    """Conclusion from the global test of an adjustment and the tests of its readings."""
 
     CLEAN = "clean"
-    """Passed global test without outliers."""
+    """Passed global test, without outliers among the readings."""
     SINGLE_ERRORS = "single errors"
-    """Failed global test that passes without the outliers."""
+    """Failed global test, which passes without a few outliers."""
     HIDDEN_ERRORS = "single errors hidden in the sum"
-    """Passed global test with outliers among the readings."""
+    """Passed global test, but outliers among the readings."""
     LARGER_NOISE = "larger noise"
     """Noise larger than declared, which was identified as the cause of the misfit."""
     UNEXPLAINED_MISFIT = "larger noise or a systematic effect"
@@ -33,7 +33,7 @@ class VerdictCase(Enum):
     UNCHECKED = "nothing to test"
     """Network without redundancy."""
     IN_DOUBT = "in doubt"
-    """Passed tests of an adjustment with warnings on its network."""
+    """Adjustment that passed its tests, but with warnings on its network."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Verdict:
     """Verdict on an adjustment: conclusion from the tests, its reasons, and the noise to use."""
 
     case: VerdictCase
-    """Conclusion from the tests."""
+    """Conclusion from the global test and the tests of single readings."""
     sentence: str
     """Sentences with the verdict and its reasons, the most important first."""
     uses_estimated_noise: bool
@@ -51,7 +51,7 @@ class Verdict:
 def verdict_on(
     adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL, fit_with_constants: tuple[float, int] | None = None
 ) -> Verdict:
-    """Verdict on an adjustment, with `alpha` as the two-sided significance level of the global test.
+    """Verdict on an adjustment from its tests and warnings; `alpha` is the two-sided level of the global test.
 
     `fit_with_constants` contains chi-square and degrees of freedom of a fit that also estimates the instrument
     constants; None if there is no such fit.
@@ -66,10 +66,11 @@ def verdict_on(
 
 
 def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
-    """Verdict from the tests, without the warnings on the network.
+    """Verdict on an adjustment from its tests, without the warnings on the network.
 
-    If the global test fails but passes without the outliers, the cause is single errors; otherwise the cause is other
-    noise or an error of the model.
+    `alpha` is the two-sided level of the global test. If this test fails but passes without the outliers, the cause is
+    single errors; otherwise the cause is other noise or an error of the model. `fit_with_constants` contains chi-square
+    and degrees of freedom of a fit that also estimates the instrument constants.
     """
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     origin = noise_origin(adjustment.recording.notes)
@@ -132,8 +133,8 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     conclusion = f"Trust the global test, which fails, and the estimated sigma0: {phrase}."
     if fit_with_constants is not None and fit_with_constants[1] > 0:
         conclusion = (
-            f"This adjustment, without the constants, fails the global test: {phrase}. Its standard deviations are "
-            "multiplied by this sigma0."
+            f"This adjustment, which does not estimate the instrument constants, fails the global test: {phrase}. Its "
+            "standard deviations are multiplied by this sigma0."
         )
     sentence = f"{reasons} {conclusion} {flagged_sentence}{_noisy_targets_sentence(adjustment)}"
     return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
@@ -152,14 +153,14 @@ def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None
     chi2, dof = fit_with_constants
     low, high = _sigma0_limits(dof, alpha)
     sigma0 = float(np.sqrt(chi2 / dof))
-    return f"If the instrument's constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
+    return f"If the instrument constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
     """Sentences on the possible reasons for a failed global test.
 
-    Errors of the instrument are a possible reason if they are neither corrected nor estimated. The fit that estimates
-    them, `fit_with_constants` (chi-square and degrees of freedom), shows if they are the reason.
+    Errors of the instrument constants are a possible reason if they are neither corrected nor estimated. A fit that
+    estimates them, `fit_with_constants` (chi-square and degrees of freedom), shows if they are the reason.
     """
     origin = noise_origin(adjustment.recording.notes)
     if fit_with_constants is not None and fit_with_constants[1] > 0:
@@ -169,27 +170,27 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
         fit = f"If these constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
             smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
-            return f"The readings contain errors of the instrument's constants. {fit}{smaller}."
+            return f"The readings contain errors of the instrument constants. {fit}{smaller}."
         return (
             f"The noise is larger than {origin}, or a systematic effect is missing from the model. Errors of the "
-            f"instrument's constants are not the only reason. {fit}."
+            f"instrument constants are not the only reason. {fit}."
         )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return f"The noise is larger than {origin}, or a systematic effect is missing from the model."
     return (
-        f"The readings contain errors of the instrument's constants, the noise is larger than {origin}, or a "
+        f"The readings contain errors of the instrument constants, the noise is larger than {origin}, or a "
         "systematic effect is missing from the model."
     )
 
 
 def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL) -> str:
-    """Sentence on the noise to declare if readings scatter less than declared; otherwise empty.
+    """Advice on the noise to declare if readings scatter less than declared; otherwise empty.
 
     Each observable is tested separately, by the sum of its squared residuals (chi-square with its redundancy as degrees
     of freedom) at the one-sided significance level `alpha` / 2.
     """
     problem, recording = adjustment.problem, adjustment.recording
-    scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
+    scaled, advice, by_row = adjustment.residuals / problem.reading_sigmas, [], []
     for k, observable in enumerate(OBSERVABLES):
         use = problem.is_used_reading[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
@@ -209,7 +210,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
 
 
 def _noisy_targets_sentence(adjustment: Adjustment) -> str:
-    """Sentence, after a space, on targets whose readings scatter far more than others; empty without such targets."""
+    """Sentence, after a space, on noisy targets, whose readings scatter far more than others; empty without any."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""
@@ -221,7 +222,7 @@ def _noisy_targets_sentence(adjustment: Adjustment) -> str:
 
 
 def _outlier_sentence(n_readings: int, condition: str = "") -> str:
-    """Sentence on the number of outliers; `condition` is a text on the test, such as " in the tau-test"."""
+    """Sentence on the number of outliers, `n_readings`; `condition` names the test, such as " in the tau-test"."""
     if not n_readings:
         return f"No reading is an outlier{condition}."
     count = "One reading is an outlier" if n_readings == 1 else f"{n_readings} readings are outliers"
@@ -231,7 +232,7 @@ def _outlier_sentence(n_readings: int, condition: str = "") -> str:
 def _flagged_sentence(n_flagged: int, n_outliers: int, origin: str) -> str:
     """Sentence on the number of readings flagged by the w-test, and of outliers in a test with the estimated noise.
 
-    `origin` is the origin of the noise of the w-test as an adjective.
+    `origin` says where the noise of the w-test comes from, as an adjective such as "declared".
     """
     if not n_flagged:
         return "The w-test flags no reading."

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR
+from ltsim.adjustment.prior import WIDENED_PRIOR_SIGMA_FACTOR
 from ltsim.calibration.schema import OBSERVABLE_DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
@@ -72,9 +72,9 @@ class CalibrationArrays(ValueEquality):
     def effective_prior_sigma(self) -> Floats:
         """Standard deviations of the prior as used in the estimation, shape (instruments, parameters) [SI].
 
-        A prior that the readings contradict is wider by the factor `WIDENED_SIGMA_FACTOR`.
+        A prior that the readings contradict is wider by the factor `WIDENED_PRIOR_SIGMA_FACTOR`.
         """
-        return np.where(self.is_prior_rejected, WIDENED_SIGMA_FACTOR, 1.0) * self.prior_sigma
+        return np.where(self.is_prior_rejected, WIDENED_PRIOR_SIGMA_FACTOR, 1.0) * self.prior_sigma
 
     @property
     def negative_bias_operator(self) -> Floats:

@@ -7,7 +7,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option_text
-from ltsim.geometry.polar import to_face, to_polar, wrap_angle
+from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.incidence import incidence_reading_change
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -97,7 +97,9 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
     raw_readings = np.where(
         recording.is_measured, recording.readings, _predicted_readings_of_incomplete_pointings(recording)
     )
-    ideal = to_face(to_polar(construction.points_from_readings(raw_readings, parameter_values)), recording.face)
+    ideal = swap_front_and_raw(
+        to_polar(construction.points_from_readings(raw_readings, parameter_values)), recording.face
+    )
     change = ideal - raw_readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.is_measured, raw_readings + change, np.nan)

@@ -225,7 +225,7 @@ class DistanceErrorPropagation:
         prior = prior_sigmas(recording, self.construction)[recording.instrument]
         design = np.zeros((len(recording), 3, count, size))
         design[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
-        whitened = (design / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
+        whitened = (design / self.adjustment.problem.reading_sigmas[:, :, None, None]).reshape(-1, count * size)
         gauge = np.zeros((len(self.adjustment.problem.gauge_rows), count * size))
         return np.concatenate([whitened[self._used_reading_indices], gauge])
 

@@ -204,7 +204,7 @@ def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
         problem = adjustment.problem
         how: dict[str, Any] = {
             "effects": adjustment.effects,
-            "sigma": problem.sigma,
+            "sigma": problem.reading_sigmas,
             "reading_mask": problem.is_used_reading,
         }
         fitted = adjusted_network(recording, built, **how)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR, ParameterPrior
+from ltsim.adjustment.prior import WIDENED_PRIOR_SIGMA_FACTOR, ParameterPrior
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN, ParameterCombination
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE, SINGLE_TEST_LEVEL
 from ltsim.calibration.calibration import Calibration
@@ -75,7 +75,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
         Because of the rounding, the first of several candidates that the readings do not distinguish is selected.
         """
-        given_changes = WIDENED_SIGMA_FACTOR * directions[list(selected_changes)]
+        given_changes = WIDENED_PRIOR_SIGMA_FACTOR * directions[list(selected_changes)]
         score, weight = change_score_and_information(
             likelihood.information_matrix,
             likelihood.information_vector,
@@ -87,7 +87,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         odds = np.round(
             log_odds_of_changed_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
         )
-        return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
+        return np.where(informative & (np.abs(estimate) < WIDENED_PRIOR_SIGMA_FACTOR), odds, -np.inf)
 
     indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
     rejected.flat[free] = directions[indices].any(axis=0)

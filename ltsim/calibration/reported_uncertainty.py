@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
-    MAX_TARGETS_IN_FILE,
+    MAX_TARGETS_IN_COVARIANCE_FILE,
     coordinate_covariance_csv_text,
     covariance_due_to_air,
     joint_covariance_due_to_air,
@@ -86,7 +86,7 @@ def target_covariance_csv_text(calibration: Calibration) -> str | None:
     None for a calibration without network, and for too many targets.
     """
     adjustment = calibration.adjustment
-    if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
+    if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_COVARIANCE_FILE:
         return None
     added = joint_covariance_due_to_air(adjustment)
     return coordinate_covariance_csv_text(

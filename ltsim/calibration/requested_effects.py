@@ -129,7 +129,7 @@ def _refit_with_best_shape_parameters(
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
-        fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_constants=fixed_fields)
+        fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_shape_parameters=fixed_fields)
         if fit.effects == tuple(effects):
             break
         effects = fit.effects

@@ -9,7 +9,7 @@ from ltsim.adjustment.axes import scale_error_of_declared_axes
 from ltsim.adjustment.datum import motions_about_centre
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteria
 from ltsim.adjustment.frame import DeclaredFrame
-from ltsim.adjustment.reference_tests import ERROR_UNITS
+from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
 from ltsim.adjustment.remedies.undetermined import (
     ParameterCombination,
     undetermined_combinations,
@@ -32,7 +32,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
-from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
+from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_jacobian
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -102,7 +102,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     """Entries of outlying readings: gross errors, other excluded readings, then outliers by w-test or tau-test."""
     recording = adjustment.recording
-    whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
+    whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
 
     def row(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = OBSERVABLE_DISPLAY_UNITS[column]
@@ -155,12 +155,12 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     noise_entries = []
     for c in adjustment.variance_components:
         if c.observable == "level":
-            unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.sigma
+            unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.tilt_sigmas
         else:
             column = OBSERVABLES.index(c.observable)
             unit, factor = OBSERVABLE_DISPLAY_UNITS[column]
             names = np.array(recording.instruments)[recording.instrument]
-            sigmas = problem.sigma[
+            sigmas = problem.reading_sigmas[
                 problem.is_used_reading[:, column] & ((names == c.instrument) | (c.instrument == "")), column
             ]
         if len(sigmas):
@@ -183,10 +183,10 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
     """Entries of reference coordinates, lengths and levels with their tests, one entry per component."""
     value_entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
-        unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
+        unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = (
             len(test.error) == 1 and not test.declared_axes,
-            bool(np.isfinite(test.sigma_error[k])),
+            bool(np.isfinite(test.error_sigmas[k])),
         )
         entry = ReferenceValueEntry(
             kind=test.kind,
@@ -194,7 +194,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             component="" if is_scalar else (test.declared_axes or "xy")[k],
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
-            sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
+            sigma_error=float(test.error_sigmas[k]) / factor if is_tested else None,
             minimal_detectable_error=float(test.minimal_detectable_errors[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
@@ -216,7 +216,7 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in accepted_tests]]
     centre = places.mean(axis=0)
     free = motions_about_centre(adjustment.problem.free_motions, centre)
-    motion = rigid_motion_design(places, centre) @ free
+    motion = rigid_motion_jacobian(places, centre) @ free
     misses = np.concatenate([test.residual for test in accepted_tests])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
@@ -296,7 +296,11 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.datum_source
-        axes = "the axes and the scale" if len(adjustment.problem.undetermined_unknowns.scale_target) else "the axes"
+        axes = (
+            "the axes and the scale"
+            if len(adjustment.problem.undetermined_unknowns.scale_defining_target)
+            else "the axes"
+        )
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.agrees_with_floor_plan(state.station_positions, state.station_rotations):
         return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {station}"

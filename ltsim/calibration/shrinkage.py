@@ -110,7 +110,7 @@ def recommend_correction(
         prior_scale_limits=evidence.plausible_scale_limits,
         uncorrected_error_um=before / MICROMETRE,
         corrected_error_um=after / MICROMETRE,
-        noise_error_um=point_noise_rms(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
+        noise_error_um=point_noise_rms(adjustment.recording, adjustment.problem.reading_sigmas) / MICROMETRE,
         unapplied_parameters=unapplied_parameters,
         sentences=tuple(notes),
     )

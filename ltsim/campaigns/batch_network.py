@@ -117,7 +117,9 @@ class BatchNetwork(NominalNetwork):
             : int(use.sum()), self.column_order
         ]  # whitened; zero for unmeasured readings
         # An unmeasured reading has no row; its prediction starts at the nominal reading.
-        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.block_end_indices[2]]
+        predicting = (
+            np.where(use, self.problem.reading_sigmas, 0.0).reshape(-1, 1) * design[:, : self.block_end_indices[2]]
+        )
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
@@ -139,7 +141,7 @@ class BatchNetwork(NominalNetwork):
         `other_residuals` (rows, trials) are the whitened residuals of the observations except readings.
         """
         use, order = self.problem.is_used_reading, self.column_order
-        sigma = self.problem.sigma[use][:, None]
+        sigma = self.problem.reading_sigmas[use][:, None]
         x = self.covariance @ (design.T @ np.concatenate([reading_deviations[use] / sigma, other_residuals]))[order]
         without_effects, predicted = np.zeros_like(x), np.zeros_like(reading_deviations)
         without_effects[order[: self.block_end_indices[2]]] = x[: self.block_end_indices[2]]

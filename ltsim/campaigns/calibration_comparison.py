@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import CalibrationErrors, cloud_error, measured_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, measured_points, rms_point_error
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
@@ -142,7 +142,7 @@ def compare_calibrations(
     )
 
     def error(points: Any) -> float:
-        return cloud_error(recording, points, there.target_points)
+        return rms_point_error(recording, points, there.target_points)
 
     raw_errors = error(measured_points(recording))
     floor = error(measured_points(recording, geometry.construction, true_values[geometry.sightings.instrument]))

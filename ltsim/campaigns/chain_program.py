@@ -64,7 +64,7 @@ class ChainProgram(NamedTuple):
         motions = [
             m
             for m in construction.kinematic_chain
-            if m.nominal_amount_function is not None or parameters_by_error_key.get(m.error_key)
+            if m.motion_amount_function is not None or parameters_by_error_key.get(m.error_key)
         ]
         feeds = [parameters_by_error_key.get(m.error_key, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
@@ -102,10 +102,10 @@ class ChainProgram(NamedTuple):
 
 def _reading_index(motion: ElementaryMotion) -> int:
     """Index of the reading that determines the amount of a motion: 0 range, 1 azimuth, 2 elevation, -1 none."""
-    if motion.nominal_amount_function is None:
+    if motion.motion_amount_function is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    probed_amounts = np.asarray(motion.nominal_amount_function(probe))
+    probed_amounts = np.asarray(motion.motion_amount_function(probe))
     return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
@@ -113,8 +113,8 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Amount of a motion, (pointings, 2): length [m] and 0 of a translation, or cosine and sine of a rotation."""
     nominal_amounts = (
         np.zeros(len(readings))
-        if motion.nominal_amount_function is None
-        else motion.amount_factor * motion.nominal_amount_function(readings)
+        if motion.motion_amount_function is None
+        else motion.amount_factor * motion.motion_amount_function(readings)
     )
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)

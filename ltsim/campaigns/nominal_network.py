@@ -14,7 +14,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import InputError
-from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rigid import pose_jacobian
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_at_state
@@ -195,7 +195,7 @@ class NominalNetwork:
         recording, state = self.recording, self.state
         by_target = derivatives.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
-        by_pose = pose_design(by_target, arm)
+        by_pose = pose_jacobian(by_target, arm)
         return Prediction(
             recording.readings, by_pose, by_target, derivatives.parameter_derivatives, np.zeros((len(recording), 3, 0))
         )
@@ -261,7 +261,7 @@ class NominalNetwork:
     @cached_property
     def reading_sigmas(self) -> Floats:
         """Standard deviation (pointings, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
-        return np.where(self.problem.is_used_reading, self.problem.sigma, np.inf)
+        return np.where(self.problem.is_used_reading, self.problem.reading_sigmas, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of the unknowns (unknowns, trials): poses, targets, instrument parameters and effect parameters.

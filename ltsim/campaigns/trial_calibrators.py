@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.datum import InnerConstraintDatum
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
@@ -21,7 +21,7 @@ from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES,
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
@@ -328,8 +328,8 @@ class BatchCalibrator(TrialCalibrator):
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.true_network.state.target_points
-        datum = InnerDatum.from_columns(
-            rigid_motion_design(points, points.mean(axis=0)), columns, covariance.__matmul__
+        datum = InnerConstraintDatum.from_columns(
+            rigid_motion_jacobian(points, points.mean(axis=0)), columns, covariance.__matmul__
         )
         blocks = datum.transform_covariance(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))

@@ -223,7 +223,7 @@ class CatalogueDesigns:
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
         family_indices = np.array([index[e.name] for e in touching], dtype=np.int64)
-        return cls(touching, effect_groups, names, family_indices, space.n_equations, space.sigma)
+        return cls(touching, effect_groups, names, family_indices, space.n_equations, space.reading_sigmas)
 
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
         """Copy of the design matrices with the weights of another adjustment of the same readings.
@@ -232,9 +232,9 @@ class CatalogueDesigns:
         """
         ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading
-        ratio[: int(is_used.sum())] = (self.reading_sigmas / new_space.sigma)[is_used]
+        ratio[: int(is_used.sum())] = (self.reading_sigmas / new_space.reading_sigmas)[is_used]
         groups = [group.with_rows_scaled(ratio) for group in self.groups]
-        return replace(self, groups=groups, reading_sigmas=new_space.sigma)
+        return replace(self, groups=groups, reading_sigmas=new_space.reading_sigmas)
 
     def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
         """Log evidences (h,) of h effects, their null values (families, trials), and the screened designs.

@@ -9,7 +9,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import advice_sentence
 from ltsim.adjustment.remedies.detectability import (
     EffectDetectability,
-    MinimalSize,
+    MinimalDetectableSize,
     effect_detectability,
     subsample_evenly,
     visible_information,
@@ -22,7 +22,7 @@ from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import UndetectableEntry
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -32,7 +32,7 @@ MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO = 10.0
 is reported as detectable, any other as not detectable."""
 TARGET_DISTORTION_UM_DECIMALS = 6
 """Number of decimals to which a distortion of the targets [um] is rounded."""
-DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]
+DetectabilityReport = tuple[tuple[MinimalDetectableSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
@@ -111,7 +111,7 @@ def target_distortion_um(space: ResidualSpace, shift: Floats) -> float:
     """
     shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
-    motion = rigid_motion_design(points, points.mean(axis=0))
+    motion = rigid_motion_jacobian(points, points.mean(axis=0))
     distortion = shifts - motion @ np.linalg.lstsq(motion, shifts, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(distortion**2)))
 

@@ -215,7 +215,7 @@ def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools
 
     `is_omitted` (n, 3) flags the omitted readings.
     """
-    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.reading_sigmas), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 

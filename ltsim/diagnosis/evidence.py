@@ -129,7 +129,7 @@ def log_restricted_likelihood(adjustment: Adjustment) -> float:
     solution, problem = adjustment.solution, adjustment.problem
     normal_matrix = solution.system.design.T @ solution.system.design
     _, log_determinant = np.linalg.slogdet(to_dense(normal_matrix))
-    log_sigmas = float(np.log(problem.sigma[problem.is_used_reading]).sum())
+    log_sigmas = float(np.log(problem.reading_sigmas[problem.is_used_reading]).sum())
     for errors in problem.model.centring_errors:
         log_sigmas += len(errors.parameters) * float(np.log(errors.displacement_sigma))
     return -0.5 * (solution.sum_of_squares + float(log_determinant)) - log_sigmas
@@ -154,7 +154,7 @@ def log_evidence_of_wrong_readings(
     plausible_sizes = np.concatenate(
         [Outlier(observable=name).plausible_sizes for name in READING_COLUMN_BY_OBSERVABLE]
     )
-    scale = (plausible_sizes / space.sigma)[space.is_used_reading]
+    scale = (plausible_sizes / space.reading_sigmas)[space.is_used_reading]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
     log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
     return float(np.maximum(log_evidences, 0.0).sum())

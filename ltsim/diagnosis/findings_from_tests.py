@@ -49,7 +49,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
     """
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
-        for axis, e, s in zip(test.declared_axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
+        for axis, e, s in zip(test.declared_axes, test.error.tolist(), test.error_sigmas.tolist(), strict=True)
         if np.isfinite(s)
     ]
     return Finding(

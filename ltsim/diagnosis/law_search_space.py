@@ -172,7 +172,7 @@ class _LawBatchBuilder:
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
-        self._sigma, self._is_used = space.sigma, space.is_used_reading
+        self._sigma, self._is_used = space.reading_sigmas, space.is_used_reading
         self._responses: dict[tuple[str, int], list[tuple[Response, Floats]]] = {}
         self._registered: dict[
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]

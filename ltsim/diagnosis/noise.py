@@ -237,7 +237,9 @@ class NoiseHypothesisSet:
             np.where(candidate_parameter_values > 0.0, candidate_parameter_values, np.inf).min(axis=0),
             candidate_parameter_values.max(axis=0),
         )
-        reml_gain = reml_gain_function(self.residual_space, self.residual_space.sigma, effect, residual, redundancy)
+        reml_gain = reml_gain_function(
+            self.residual_space, self.residual_space.reading_sigmas, effect, residual, redundancy
+        )
         log_evidences = log_sum_exp(
             np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_NOISE_SIZES)])
         ) - np.log(N_FINE_GRID_NOISE_SIZES)
@@ -282,15 +284,17 @@ class NoiseHypothesisSet:
             self.residual_space.whitened_residuals,
             self.residual_space.redundancy,
         )
-        values, factors = [0.0], [np.ones(space.sigma.shape)]
+        values, factors = [0.0], [np.ones(space.reading_sigmas.shape)]
         for hypothesis, value in self._ranked_patterns(residual, redundancy):
-            sizes = np.array(with_estimated_sizes(space, space.sigma, hypothesis).sizes)
+            sizes = np.array(with_estimated_sizes(space, space.reading_sigmas, hypothesis).sizes)
             values.append(value)
-            factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
+            factors.append(
+                hypothesis.effect.variance(space.sightings, space.reading_sigmas, sizes) / space.reading_sigmas**2
+            )
         n_readings = np.count_nonzero(space.is_used_reading)
         for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
             values.append(value)
-            factors.append(np.ones(space.sigma.shape))
+            factors.append(np.ones(space.reading_sigmas.shape))
             factors[-1][space.is_used_reading] = change.expected_variance_factors(residual, redundancy)[:n_readings]
         mean_factors = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
         return np.nan_to_num(mean_factors, nan=1.0)
@@ -354,12 +358,12 @@ def _noise_patterns(
     variance function has one pattern, because it is linear in its size. A catalogue effect has one pattern for each
     size.
     """
-    used, variance = space.is_used_reading, space.sigma**2
+    used, variance = space.is_used_reading, space.reading_sigmas**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):
         sizes = [h.sizes for h in same]
         linear = isinstance(effect, VarianceFunction)
         for values in [(1.0,)] if linear else sizes:
-            added = (effect.variance(space.sightings, space.sigma, np.array(values)) / variance)[used] - 1.0
+            added = (effect.variance(space.sightings, space.reading_sigmas, np.array(values)) / variance)[used] - 1.0
             if faces := getattr(effect, "shared_error_repetition", ""):
                 grown = (
                     added_variance_of_means(m, added if kind == faces else np.zeros(0))

@@ -52,7 +52,7 @@ def reml_gain_function(
 
     def variance_factors_at(values: Floats) -> Floats:
         """Variance factors (m,) of m observation equations at the values (k,) of the variance parameters."""
-        factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
+        factor = (effect.variance(space.sightings, sigma, values) / space.reading_sigmas**2)[used]
         return factor if means is None else 1.0 + added_variance_of_means(means, factor - 1.0)
 
     parameter = np.argmax(

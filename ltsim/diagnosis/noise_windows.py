@@ -195,9 +195,9 @@ class NoiseWindows(GroupNoiseHypothesis):
         whole = replace(
             place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])
         )
-        is_noisy = (whole.variance(s, self.residual_space.sigma, np.ones(1)) > self.residual_space.sigma**2)[
-            self.residual_space.is_used_reading
-        ]
+        is_noisy = (
+            whole.variance(s, self.residual_space.reading_sigmas, np.ones(1)) > self.residual_space.reading_sigmas**2
+        )[self.residual_space.is_used_reading]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         group_indicators = sp.csr_array(self.group_indicators @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
@@ -205,7 +205,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
         space = self.residual_space
-        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
+        added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[
             space.is_used_reading
         ] - 1.0
         noisy_rows = np.flatnonzero(added)

@@ -14,12 +14,12 @@ from ltsim.adjustment.identification.cause_tests import reported_kind
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
-    MIN_GROSS_SIGMAS,
+    MIN_GROSS_ERROR_SIGMAS,
 )
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axes_point_finding, blunder_finding, cause_test_finding
@@ -48,10 +48,10 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
     fit, chosen = selection.fit, [c.hypothesis for c in selection.selected_hypotheses if c.is_certain]
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(
-        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.estimate_length_in_sigmas(h) > MIN_GROSS_SIGMAS
+        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.estimate_length_in_sigmas(h) > MIN_GROSS_ERROR_SIGMAS
         for h in shifts
     )
-    return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
+    return [h for h in chosen if not isinstance(h.model_change, NoiseFactorChange) and (gross or h not in shifts)]
 
 
 def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
@@ -73,7 +73,7 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     station or at one target, an effect may be the cause. `fit` is the adjustment with the outliers.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
-    isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
+    isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE

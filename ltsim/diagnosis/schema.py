@@ -5,7 +5,7 @@ from typing import Self
 
 from pydantic import Field
 
-from ltsim.adjustment.remedies.detectability import MinimalSize
+from ltsim.adjustment.remedies.detectability import MinimalDetectableSize
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
 from ltsim.core.results import Column, Table, model_columns, number_columns, text_columns
@@ -215,7 +215,7 @@ class DetectableEntry(Entry):
     """Unit of the smallest detectable size."""
 
     @classmethod
-    def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
+    def from_minimal_size(cls, minimal_size: MinimalDetectableSize) -> Self:
         """Entry from a smallest detectable size, the median over the stations and targets where the effect may act."""
         displayed_size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
         return cls(

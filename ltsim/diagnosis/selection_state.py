@@ -209,7 +209,7 @@ class SelectionState:
         estimated together.
         """
         new_change = with_estimated_sizes(
-            self.residual_space.with_effects(effects), self.residual_space.sigma, hypothesis
+            self.residual_space.with_effects(effects), self.residual_space.reading_sigmas, hypothesis
         )
         if all(change.effect != new_change.effect for change in self.selected_noise_hypotheses):
             return self._with_selected_noise_hypotheses(

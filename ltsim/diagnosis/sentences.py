@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
+from ltsim.adjustment.significance import MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.notation import MAX_LISTED_ITEMS, names_text, with_sigma
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
@@ -165,7 +165,7 @@ def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]
             plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_EFFECTS]
+    return [words for times, words in ranked if times > MIN_CERTAIN_ERROR_SIGMAS][:MAX_MODEL_EFFECTS]
 
 
 ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

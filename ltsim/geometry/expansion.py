@@ -1,9 +1,9 @@
 """Thermal expansion of a body, L(T) = L_0 (1 + a (T - T_0)), and its uncertainty.
 
-L is the length of the body at the temperature T, and L_0 its length at the reference temperature T_0. The coefficient a
-is the mean coefficient of linear expansion between T_0 and T. Both are temperatures of the body and not of the air. To
-first order the error of the ratio L(T) / L_0 is (T - T_0) da + a dT. Bodies of one material share the error da of the
-coefficient. Bodies whose temperature the same thermometer measures share the error dT.
+L is the length of the body at its temperature T, and L_0 its length at its reference temperature T_0. The coefficient a
+is the mean coefficient of linear expansion between T_0 and T. To first order the error of the ratio L(T) / L_0 is
+(T - T_0) da + a dT, with the error da of the coefficient and the error dT of T - T_0. Bodies of one material share da.
+Bodies whose temperature is measured by one thermometer share dT.
 
 References
 ----------
@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ThermalExpansion:
-    """Thermal expansion of a body: its length relative to the length at the reference temperature, with uncertainty."""
+    """Length of a body divided by its length at the reference temperature, and the uncertainty of this ratio."""
 
     length_ratio: float = 1.0
-    """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
+    """Length of the body at its present temperature, divided by its length at the reference temperature."""
     ratio_change_per_coefficient_sigma: float = 0.0
     """Change of the length ratio if the coefficient of expansion is in error by one standard deviation."""
     ratio_change_per_temperature_sigma: float = 0.0

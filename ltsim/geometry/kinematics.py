@@ -1,11 +1,13 @@
-"""Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
+"""Kinematic chains: models of a tracker as a sequence of elementary motions, without linearisation.
 
-A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
-offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
-of a motion. The motion's `error_key` is the key of this error in the mapping `errors`. The derivative of the point by
-the error of a translation is the direction of the translation's axis in the base frame. The derivative by the error of
-a rotation is the cross product of the axis and the vector from the axis to the target. There are three designs of a
-tracker: `MISALIGNMENT_CHAIN`, `STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
+A chain is a list of motions from the base outwards: a rotation about z by the azimuth, a translation along x by the
+transit offset, and so on. The target is at the origin of the last frame. An instrument error (in m or rad) is added to
+the nominal length or angle of a motion. The motion's `error_key` is the key of this error in the mapping `errors`.
+
+Derivatives of the measured point are exact too. With respect to the error of a translation, the derivative is the unit
+vector of the axis in the base frame. With respect to the error of a rotation, it is the cross product of the axis and
+the vector from the axis to the target. There are three designs of a tracker: `MISALIGNMENT_CHAIN`,
+`STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
 """
 
 import math
@@ -18,60 +20,60 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import QUARTER_TURN
 
-NominalAmountFunction = Callable[[Floats], Floats]
+MotionAmountFunction = Callable[[Floats], Floats]
 """Function from n raw readings of range, azimuth and elevation, (n, 3), to the nominal angle [rad] or length [m] of an
 elementary motion, (n,)."""
 
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation about an axis by `amount_factor` times the sum of a nominal angle [rad] and an error [rad]."""
+    """Step of a kinematic chain: rotation by `amount_factor` times the sum of a nominal angle and an error [rad]."""
 
     axis: int
     """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
-    nominal_amount_function: NominalAmountFunction | None = None
+    motion_amount_function: MotionAmountFunction | None = None
     """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
     amount_factor: float = 1.0
-    """Factor of nominal angle plus error: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
+    """Factor by which nominal angle plus error is multiplied: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
 
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation along an axis by `amount_factor` times the sum of a nominal length [m] and an error [m]."""
+    """Step of a kinematic chain: translation by `amount_factor` times the sum of a nominal length and an error [m]."""
 
     axis: int
     """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
-    nominal_amount_function: NominalAmountFunction | None = None
+    motion_amount_function: MotionAmountFunction | None = None
     """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
     amount_factor: float = 1.0
-    """Factor of nominal length plus error, +1 or -1."""
+    """Factor by which nominal length plus error is multiplied, +1 or -1."""
 
 
 ElementaryMotion = RotationStep | TranslationStep
-"""Elementary motion of a kinematic chain: rotation about, or translation along, one coordinate axis."""
+"""Elementary motion of a kinematic chain: rotation about a coordinate axis, or translation along it."""
 KinematicChain = tuple[ElementaryMotion, ...]
-"""Kinematic chain: elementary motions from the base outwards."""
+"""Kinematic chain: elementary motions from the base of the tracker to the target."""
 
 
 @dataclass(frozen=True)
-class ConstantNominalAmount:
-    """Nominal angle [rad] or length [m] of an elementary motion that is the same for all readings."""
+class ConstantMotionAmount:
+    """Function for an elementary motion whose nominal angle [rad] or length [m] is the same for all readings."""
 
     value: float
     """Nominal angle [rad] or length [m] of the motion."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """Constant angle [rad] or length [m], repeated for each of the n pointings of `raw_readings` (n, 3), (n,)."""
+        """Array (n,) of the constant angle [rad] or length [m], for n raw readings `raw_readings` (n, 3)."""
         return np.full(len(raw_readings), self.value)
 
 
 @dataclass(frozen=True)
-class NominalAmountFromReading:
-    """Nominal angle [rad] or length [m] of an elementary motion that is a raw reading plus a fixed offset."""
+class MotionAmountFromReading:
+    """Function for an elementary motion whose nominal angle or length is a raw reading plus a fixed offset."""
 
     reading_index: int
     """Index of the reading: 0 range, 1 azimuth, 2 elevation."""
@@ -79,21 +81,22 @@ class NominalAmountFromReading:
     """Offset [m or rad] that is added to the reading."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """Selected reading plus `offset`, (n,), for n raw readings of range, azimuth and elevation, (n, 3)."""
+        """Selected reading plus `offset`, (n,) [m or rad], from n raw readings of range, azimuth, elevation, (n, 3)."""
         return raw_readings[:, self.reading_index] + self.offset
 
 
 def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
-    """Signed angle [rad] or length [m] of a motion, nominal plus error, for n raw readings (n, 3).
+    """Angle [rad] or length [m] of a motion, nominal plus error times `amount_factor`, for n raw readings (n, 3).
 
-    The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error.
+    The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error. `errors`
+    contains the instrument errors by `error_key`.
     """
     motion_amount = (
         None
-        if elementary_motion.nominal_amount_function is None
-        else elementary_motion.nominal_amount_function(raw_readings)
+        if elementary_motion.motion_amount_function is None
+        else elementary_motion.motion_amount_function(raw_readings)
     )
     error = errors.get(elementary_motion.error_key)
     if error is not None:
@@ -102,7 +105,7 @@ def _motion_amount(
 
 
 def _rotate_in_place(axis: int, angle: Floats, *vectors: Floats) -> None:
-    """Rotation in place of arrays of vectors (..., n, 3) about a coordinate axis, by n angles (n,)."""
+    """Rotation in place of arrays of vectors (..., n, 3) about a coordinate axis (0 x, 1 y, 2 z), by angles (n,)."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
     for v in vectors:
@@ -110,9 +113,9 @@ def _rotate_in_place(axis: int, angle: Floats, *vectors: Floats) -> None:
 
 
 def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
-    """Coordinates (n, 3) [m], in the base frame of a chain, of the points that n raw readings (n, 3) measure.
+    """Points (n, 3) [m] in the base frame of a kinematic chain, from n raw readings (n, 3) [m, rad, rad].
 
-    `errors` has the error [rad or m] of each motion by its `error_key`, as an array (n,) or one number. A motion
+    `errors` contains the error [rad or m] of each motion by its `error_key`, as an array (n,) or one number. A motion
     whose key is missing has no error.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
@@ -134,12 +137,11 @@ def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors
 def points_and_error_derivatives(
     chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_keys: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Points (n, 3) [m] of n raw readings (n, 3), and their derivatives (n, 3) with respect to errors of the chain.
+    """Points (n, 3) [m] of n raw readings (n, 3), and their derivatives (n, 3) by each instrument error, by its key.
 
-    `errors` is as for `points_from_raw_readings`. The dictionary of derivatives has one entry for each of the keys
-    `error_keys` that the chain contains. The computation starts at the target and applies the motions towards the
-    base. Point and derivatives are vectors of the current frame: a rotation turns all of them, a translation moves the
-    point alone.
+    `errors` contains the error [rad or m] of each motion by its `error_key`. Derivatives are computed for those of
+    the keys `error_keys` that the chain contains. The computation starts at the target and applies the motions towards
+    the base: a rotation turns point and derivatives, a translation moves the point alone.
     """
     p = np.zeros((len(raw_readings), 3))
     derivative_buffer, count = np.zeros((len(chain), len(raw_readings), 3)), 0
@@ -173,16 +175,16 @@ MISALIGNMENT_CHAIN: KinematicChain = (
     TranslationStep(2, "standing-axial"),
     RotationStep(0, "standing-tilt-x"),
     RotationStep(1, "standing-tilt-y"),
-    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
+    RotationStep(2, "azimuth", MotionAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", NominalAmountFromReading(2), amount_factor=-1.0),
+    RotationStep(1, "elevation", MotionAmountFromReading(2), amount_factor=-1.0),
     TranslationStep(1, "beam-lateral"),
     TranslationStep(2, "beam-vertical"),
     RotationStep(2, "beam-tilt"),
-    TranslationStep(0, "range", NominalAmountFromReading(0)),
+    TranslationStep(0, "range", MotionAmountFromReading(0)),
 )
-"""Geometric-misalignment model of a tracker whose source is in the rotating head.
+"""Kinematic chain of the geometric-misalignment model: a tracker whose source is in the rotating head.
 
 Source: Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, the model family of ASME B89.4.19; written here
 in the exact form (not the first-order one), from the base outwards:
@@ -199,18 +201,18 @@ face-2 readings are used unchanged; the signs of the two faces follow from the g
 """
 
 ELEVATION_TO_ZENITH_OFFSET = -0.5 * math.pi
-"""Offset [rad] that is added to an elevation; the sum is minus the zenith angle."""
+"""Offset [rad] between elevation and negative zenith angle: elevation + offset = -(zenith angle)."""
 MIRROR_ROTATION_RATIO = -0.5
-"""Ratio of the mirror's rotation to the elevation: one half, because the reflected beam turns twice as far as the
-mirror. It is negative because elevation is counted upwards and a positive turn about y is downwards."""
+"""Ratio of the rotation of a beam-steering mirror to the elevation. Its size is one half, because the reflected beam
+turns twice as far as the mirror. It is negative, because a positive rotation about y lowers the beam."""
 
 STEERING_MIRROR_CHAIN: KinematicChain = (
     # To the mirror: T.
-    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
+    RotationStep(2, "azimuth", MotionAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
     RotationStep(
-        1, "elevation", NominalAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
+        1, "elevation", MotionAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
     ),
     TranslationStep(0, "mirror-offset"),
     RotationStep(2, "mirror-tilt"),
@@ -218,37 +220,37 @@ STEERING_MIRROR_CHAIN: KinematicChain = (
     RotationStep(2, "mirror-tilt"),
     TranslationStep(0, "mirror-offset"),
     RotationStep(
-        1, "elevation", NominalAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
+        1, "elevation", MotionAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
     ),
     RotationStep(0, "transit-tilt", amount_factor=-1.0),
     TranslationStep(0, "transit-offset"),
     TranslationStep(0, "cover-forward", amount_factor=-1.0),
     TranslationStep(1, "cover-left"),
-    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
+    RotationStep(2, "azimuth", MotionAmountFromReading(1)),
     # The beam in the base, reflected.
     TranslationStep(0, "beam-x", amount_factor=-1.0),
     TranslationStep(1, "beam-y"),
     RotationStep(0, "beam-tilt-x"),
     RotationStep(1, "beam-tilt-y", amount_factor=-1.0),
-    TranslationStep(2, "range", NominalAmountFromReading(0)),
+    TranslationStep(2, "range", MotionAmountFromReading(0)),
 )
-"""Model of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the rate of the beam.
+"""Kinematic chain of a tracker with a fixed laser and a beam-steering mirror, which turns half as far as the beam.
 
-The beam leaves the base upward along the standing axis and meets a plane mirror that turns with the head about the
-transit axis. With V the zenith angle of the target the mirror's normal points V/2 below the horizon, and the
-target is the image of a point straight up the beam:
+The beam leaves the base upwards along the standing axis. The plane mirror turns with the head about the standing axis,
+and about the transit axis. For a target at zenith angle V the normal of the mirror points V/2 below the horizon. The
+target, at p, is the mirror image of the point at the measured range on the undeflected beam:
 
     p = T F T^-1 C' B (0, 0, range),   F = diag(-1, 1, 1)
     T = Rz(azimuth) Dx(e) Rx(i) Ry(V/2) Dx(f) Rz(c)               base to mirror, its normal along x
-    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          the cover plate's offset, which turns with the head
+    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          offset by the cover plate, which turns with the head
     B = Dx(O_x) Dy(O_y) Rx(I_x) Ry(I_y)                           the beam in the base
 
-with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt, O_x and O_y the offset and I_x
-and I_y the tilts of the beam in the base. Rx, Ry and Rz are turns about, Dx and Dy shifts along the axes. A reflection
-F before a turn or a shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as
-it is: so F moves through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns
-about y and z and shifts along x change their sign. The result is a chain of turns and shifts like any other, in which
-each motion of the mirror occurs twice.
+Here e is the transit offset, i the transit tilt, f the mirror offset and c the mirror tilt. O_x and O_y are the offset
+of the beam in the base, I_x and I_y its tilts. Rx, Ry and Rz are rotations about the axes, Dx and Dy translations along
+them. The reflection F is eliminated, because it can exchange its place with a rotation or translation: rotations about
+y and z and translations along x then change their sign, all others stay. At the end of the chain, F leaves the origin,
+where the target is, unchanged. The result is a chain of rotations and translations, in which each motion of the mirror
+occurs twice.
 
 Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
 Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,
@@ -256,10 +258,10 @@ doi:10.6028/jres.114.003. Written here in the exact form; signs as in `MISALIGNM
 """
 
 
-def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
-    """Error matrix E_Rot of a joint of `DH_CHAIN` as six elementary motions: three translations, then three rotations.
+def error_motions_of_kinematic_joint(joint_name: str) -> tuple[ElementaryMotion, ...]:
+    """Error motions of a kinematic joint of `DH_CHAIN`: three translations along and three rotations about x, y, z.
 
-    The keys of their errors begin with the name of the joint: ``J1.dX`` to ``J1.eZ`` for the joint J1.
+    The keys of their errors begin with the name of the kinematic joint: ``J1.dX`` to ``J1.eZ`` for the azimuth axis J1.
     """
     shifts = tuple(TranslationStep(i, f"{joint_name}.d{axis}") for i, axis in enumerate("XYZ"))
     turns = tuple(RotationStep(i, f"{joint_name}.e{axis}") for i, axis in enumerate("XYZ"))
@@ -267,18 +269,18 @@ def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
 
 
 DH_CHAIN: KinematicChain = (
-    RotationStep(2, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(2, motion_amount_function=ConstantMotionAmount(-QUARTER_TURN)),
     RotationStep(
-        2, nominal_amount_function=NominalAmountFromReading(1, -QUARTER_TURN)
+        2, motion_amount_function=MotionAmountFromReading(1, -QUARTER_TURN)
     ),  # A1 of Table 1: theta - 90, alpha -90
-    RotationStep(0, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
-    *joint_error_motions("J1"),
-    RotationStep(2, nominal_amount_function=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
-    RotationStep(0, nominal_amount_function=ConstantNominalAmount(QUARTER_TURN)),
-    *joint_error_motions("J2"),
-    TranslationStep(2, nominal_amount_function=NominalAmountFromReading(0)),  # A3: d, theta -90
-    RotationStep(2, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
-    *joint_error_motions("T"),
+    RotationStep(0, motion_amount_function=ConstantMotionAmount(-QUARTER_TURN)),
+    *error_motions_of_kinematic_joint("J1"),
+    RotationStep(2, motion_amount_function=MotionAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, motion_amount_function=ConstantMotionAmount(QUARTER_TURN)),
+    *error_motions_of_kinematic_joint("J2"),
+    TranslationStep(2, motion_amount_function=MotionAmountFromReading(0)),  # A3: d, theta -90
+    RotationStep(2, motion_amount_function=ConstantMotionAmount(-QUARTER_TURN)),
+    *error_motions_of_kinematic_joint("T"),
 )
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.
 
@@ -286,16 +288,16 @@ DH_CHAIN: KinematicChain = (
     E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2, with theta_RZ for eZ)
     E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
 
-0T3 is the transformation from the frame of the beam to the base, A_i that of joint i with the Denavit-Hartenberg
-parameters d, theta, a and alpha; T are shifts along and R rotations about the axes, and [e]_x is the cross-product
-matrix of (eX, eY, eZ). In the printed form E follows the complete A: frame 1 has y along the standing axis and z along
+0T3 is the transformation from the frame of the beam to the base. A_i is the transformation of kinematic joint i with
+the Denavit-Hartenberg parameters d, theta, a and alpha. T are translations along and R rotations about the axes, [e]_x
+is the cross-product matrix of (eX, eY, eZ). In the paper E follows A: frame 1 has y along the standing axis and z along
 the transit axis, so the azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial"
 and "radial" do not fit these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is
 included so that the 78 coefficients of the paper are complete.
 
-A coefficient is named by the joint (J1 azimuth, J2 elevation, T range), the error motion (shift d along or rotation e
-about an axis of the frame after the joint) and the term of its error function: c, sin, cos, sin2 and cos2 for the
-constant and the first two harmonics of the joint's angle; 0, 1 and 2 for powers of the range.
+A coefficient is named by the kinematic joint (J1 azimuth, J2 elevation, T range), the error motion (translation d along
+or rotation e about an axis of the frame after the joint) and the term of its error function: c, sin, cos, sin2 and cos2
+for the constant and the first two harmonics of the joint's angle; 0, 1 and 2 for powers of the range.
 
 Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn the point
 about itself (9). Of the 64, 53 have distinct effects if stations and targets are known; the others repeat them:

@@ -1,4 +1,4 @@
-"""Rotations, rigid motions of point sets, the points that determine them, and closed-form alignment."""
+"""Rotations, rigid motions of point sets, tests if points determine a pose, and closed-form alignment of points."""
 
 from functools import lru_cache
 from itertools import combinations
@@ -10,7 +10,7 @@ from ltsim.core.errors import NetworkError
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Matrices (..., 3, 3) with ``cross_matrix(v) @ w = v x w`` for vectors (..., 3)."""
+    """Skew-symmetric matrices (..., 3, 3) of vectors (..., 3), such that ``cross_matrix(v) @ w = v x w``."""
     x, y, z = (vectors[..., k] for k in range(3))
     matrix = np.zeros((*vectors.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
@@ -46,15 +46,15 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
     return Rotation.from_matrix(matrix).as_quat()
 
 
-MIN_ROTATION_SINE = 1e-12
-"""Smallest sine of a rotation between two directions; below it they are parallel, or opposite."""
+MIN_SINE_BETWEEN_DIRECTIONS = 1e-12
+"""Sine of the angle between two unit vectors, below which they count as parallel or opposite."""
 
 
 def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
-    """Rotation matrix (3, 3) of the smallest rotation that turns the unit vector `start_axis` into `goal_axis`."""
+    """Rotation matrix (3, 3) with the smallest angle that rotates the unit vector `start_axis` to `goal_axis`."""
     axis, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
     squared_sine = float(axis @ axis)
-    if squared_sine < MIN_ROTATION_SINE**2:
+    if squared_sine < MIN_SINE_BETWEEN_DIRECTIONS**2:
         if cosine > 0:
             return np.eye(3)
         axis = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
@@ -66,41 +66,42 @@ def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
 VERTICAL = np.array([0.0, 0.0, 1.0])
 """Unit vector of the vertical in the network frame."""
 MAX_COLLINEAR_RATIO = 1e-6
-"""Largest distance of points from a common line, as a fraction of their extent. Up to it the points count as collinear,
-and they do not determine a rotation about the line."""
-MIN_RIGID_POINTS = 3
-"""Smallest number of points that determine a rigid motion."""
+"""Largest ratio of the extent of points across their best-fit line to their extent along it, at which the points count
+as collinear. Collinear points do not determine a rotation about their line."""
+MIN_POINTS_FOR_POSE = 3
+"""Smallest number of points, not on one line, that determine a pose or rigid motion (six parameters)."""
 
 
-def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
-    """Design matrix (3 k, 6) of rigid motions: displacements of k points (k, 3) [m] by unit translations and rotations.
+def rigid_motion_jacobian(points: Floats, centre: Floats | None = None) -> Floats:
+    """Derivatives (3 k, 6) of the coordinates of k points (k, 3) [m] with respect to a small common rigid motion.
 
-    The rotations are small and about `centre` (3,) [m], by default the origin.
+    The columns are translations along x, y, z, and rotations about these axes through `centre` (3,) [m], by default
+    the origin.
     """
     turn = -cross_matrix(points if centre is None else points - centre)
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
 def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floats | None = None) -> Floats:
-    """Displacements (3 k, c) of k points (k, 3) in c cases, minus the rigid motion that fits each case best.
+    """Displacements (3 k, c) of k points (k, 3) [m] in c cases, minus the best-fitting rigid motion of each case.
 
-    The fit is by least squares. If `free_motions` (6, f) is given, only combinations of its f columns are removed; each
-    column is a rigid motion with three translations and three rotations.
+    The fit is by least squares. If `free_motions` (6, f) is given, only combinations of its f columns are removed. Each
+    column is a rigid motion: three translations and three rotations.
     """
-    motion = rigid_motion_design(points)
+    motion = rigid_motion_jacobian(points)
     basis = np.linalg.qr(motion if free_motions is None else motion @ free_motions)[0]
     return displacement - basis @ (basis.T @ displacement)
 
 
-def pose_design(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
-    """Derivative (n, 3, 6) of the readings of n pointings with respect to translation and rotation of their station.
+def pose_jacobian(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
+    """Derivatives (n, 3, 6) of the readings of n pointings with respect to translation and rotation of their station.
 
-    Translation and rotation vector refer to the axes of the network frame.
+    Translation and rotation vector are those of the network frame.
 
     Parameters
     ----------
     point_derivatives : (n, 3, 3) float
-        Derivative of the readings with respect to the target's coordinates, network frame.
+        Derivatives of the readings with respect to the coordinates of the target in the network frame.
     sight_vectors : (n, 3) float, [m]
         Vectors from the station to the targets.
     """
@@ -114,7 +115,7 @@ def determines_pose(
     *,
     min_relative_width: float = MAX_COLLINEAR_RATIO,
 ) -> Bools:
-    """Flags (...) of stations whose pose (six parameters) is determined by the positions of the targets they measure.
+    """Flags (...) of stations, True if the positions of the measured targets determine the pose (six parameters).
 
     Three targets that are not collinear are sufficient. A levelled station needs two that are not on one vertical.
 
@@ -127,7 +128,8 @@ def determines_pose(
     plumb_direction : (..., 3) float, optional
         Unit vector of the plumb line that a level defines at each station, NaN without a level.
     min_relative_width : float
-        Distance of targets from a common line, divided by their extent, up to which they count as collinear.
+        Ratio of the extent of the targets across their best-fit line to the extent along it, up to which they count as
+        collinear.
     """
     n_sighted = np.maximum(is_sighted.sum(axis=-1), 1)
     centre = (is_sighted @ points) / n_sighted[..., None]
@@ -144,19 +146,19 @@ def determines_pose(
 
 MAX_REWEIGHTING_PASSES = 8
 """Largest number of reweighted least-squares fits in `align_robustly`."""
-MAX_LARGEST_TO_MEDIAN_DISTANCE = 8.0
-"""Ratio of the largest to the median distance between aligned points and their goals, below which the alignment is not
-reweighted, because the distances then contain noise only and no outlier."""
+MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO = 8.0
+"""Ratio of the largest to the median distance between aligned points and their goals, below which the reweighting ends,
+because no point is an outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
 """Mean distance [m] between points and their goals after a least-squares alignment, above which `align_robustly` also
-starts from triples of points: an outlier may have distorted the least-squares alignment. Start values of an adjustment
-need no smaller distance than this 0.1 mm."""
+starts from triples of points, because an outlier may have distorted this alignment. 0.1 mm is sufficient for start
+values of an adjustment."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
-"""Largest number of points of which every triple is a start of a robust alignment."""
+"""Largest number of points at which a robust alignment starts from every triple of points, not only from some."""
 N_RANDOM_TRIPLES = 30
-"""Number of random triples of points at which a robust alignment starts if there are too many triples to try all. With
-30 triples at least one has no outlier with a probability of 98 % if half of the points are outliers, and of 99.999 % if
-a third are."""
+"""Number of random triples of points from which a robust alignment starts, if there are too many points to try all
+triples. Of 30 triples at least one contains no outlier with a probability of 98 %, if half of the points are outliers;
+if a third are, the probability is 99.999 %."""
 
 
 def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
@@ -199,19 +201,22 @@ def align_with_scale(
     """
     weight = np.ones(points.shape[-2]) if weights is None else weights
     if np.count_nonzero(weight) < 3:
-        raise NetworkError("an alignment needs at least three common points")
+        raise NetworkError("the alignment of two point sets needs at least three common points")
     rotation, shift, scale, is_determined = _weighted_alignment(
         points, goal_points, weight, estimates_scale=estimates_scale
     )
     if not is_determined.all():
-        raise NetworkError("an alignment needs three common points that are not on one line")
+        raise NetworkError("the alignment of two point sets needs three common points that are not on one line")
     return rotation, shift, scale
 
 
 def _weighted_alignment(
     points: Floats, goal_points: Floats, weight: Floats, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Rotation, shift and scale as in `align_with_scale`, and flags (...) of point sets that determine the rotation."""
+    """Rotation (..., 3, 3), shift (..., 3), scale (...), and flags (...), True if a point set determines the rotation.
+
+    The arguments and the first three results are those of `align_with_scale`.
+    """
     weight = weight / weight.sum()
     centre, goal_centre = weight @ points, weight @ goal_points
     centred_points = points - centre[..., None, :]
@@ -230,9 +235,9 @@ def _weighted_alignment(
 def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) [m] that move n points (n, 3) onto their goals despite a few outliers.
 
-    The alignment minimises the sum of the distances by iterative reweighting. If one distance is large, this sum has
-    several local minima. Reweighting therefore starts at the least-squares alignment or at the alignment of three of
-    the points: at the one with the smallest sum of the logarithms of all distances.
+    The alignment minimises the sum of the distances between moved points and goals by iterative reweighting. With
+    outliers this sum has several local minima. Reweighting therefore starts at the best of several alignments, by least
+    squares of all points and of triples of points: the one with the smallest sum of the logarithms of all distances.
 
     Raises NetworkError for fewer than three points, or for points on one line.
     """
@@ -255,13 +260,13 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
         residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
         floor = max(1e-5, 0.5 * median(residual_distances))
         best_alignment = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
-        if residual_distances.max() < MAX_LARGEST_TO_MEDIAN_DISTANCE * floor:
+        if residual_distances.max() < MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO * floor:
             break
     return best_alignment
 
 
 def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:
-    """Largest distance [m] between corresponding points of two sets of n points (n, 3) [m] after their alignment.
+    """Largest distance [m] between n points (n, 3) [m], aligned by least squares, and their goals (n, 3) [m].
 
     Raises NetworkError for fewer than three points, or for points on one line.
     """
@@ -279,7 +284,7 @@ def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_mot
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of n distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
+    """Sum (...) of the logarithms of n distances (..., n) [m]; smaller ones count as `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """

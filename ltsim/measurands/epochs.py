@@ -21,7 +21,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
 from ltsim.core.notation import names_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
-from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
+from ltsim.geometry.rigid import align_rigidly, rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_indices
 from ltsim.measurands.inputs import (
     CONTROL_POINTS_SOURCE_NAME,
@@ -306,7 +306,7 @@ def _epoch_difference(
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first_epoch.displacements_per_common_error @ second_epoch.displacements_per_common_error.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
-    motions = rigid_motion_design(before, centre)
+    motions = rigid_motion_jacobian(before, centre)
     motions = motions @ _motions_with_rotations_about_centre(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
     motions = motions[:, np.linalg.norm(motions, axis=0) > SQRT_MACHINE_EPSILON * np.abs(before - centre).max()]
@@ -348,7 +348,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
         return np.zeros((6, 0))
     centre = epoch.points.mean(axis=0)
     motions = (
-        rigid_motion_design(epoch.points, centre)
+        rigid_motion_jacobian(epoch.points, centre)
         .reshape(len(epoch.points), 3, 6)[:, epoch.axis_indices]
         .reshape(len(scale), 6)
     )

@@ -240,7 +240,8 @@ def smr_radius_uncertainty_sources(adjustment: Adjustment, point_derivatives: Fl
         off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
         if np.any(off):
             change = (
-                design_from_displacements(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+                design_from_displacements(sightings, off[:, :, None])[rows, columns, 0]
+                / problem.reading_sigmas[rows, columns]
             )
             sources.append(
                 UncertaintySource(f"radius of {name}", "B", (point_derivatives[: len(rows)].T @ change)[:, None])
@@ -292,7 +293,7 @@ def _type_b_source(
     problem = adjustment.problem
     rows, columns = np.nonzero(problem.is_used_reading)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
-    whitened_design = design / problem.sigma[rows, columns][:, None]
+    whitened_design = design / problem.reading_sigmas[rows, columns][:, None]
     group = _group_of_pointing(adjustment.recording, type_b_entry.draw_shared_by)[rows]
     response = np.zeros((point_derivatives.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):

@@ -142,12 +142,12 @@ def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[M
     for i in range(N_NONLINEARITY_DRAWS):
         noise = random_stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
-        readings[used] += noise * problem.sigma[used]
+        readings[used] += noise * problem.reading_sigmas[used]
         again = adjust_from_state(
             recording.with_readings(readings),
             network_or_coordinates.construction,
             effects=network_or_coordinates.effects,
-            sigma=problem.sigma,
+            sigma=problem.reading_sigmas,
             reading_mask=problem.is_used_reading,
             start_state=network_or_coordinates.state,
             datum_names=network_or_coordinates.datum.point_names if network_or_coordinates.datum is not None else None,

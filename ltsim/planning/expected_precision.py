@@ -30,7 +30,7 @@ from ltsim.adjustment.remedies.undetermined import (
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name_error
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.survey import PlannedSurvey
@@ -315,13 +315,15 @@ def _unit_error_displacements(
     _, by_reading, by_value = construction.linearise(sightings.ideal_raw_readings, np.zeros(construction.n_parameters))
     noise = (
         np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
-        * problem.sigma.ravel()
+        * problem.reading_sigmas.ravel()
     )
     parameters = -np.einsum("rn,nij->rij", averaging_matrix, by_value).reshape(3 * len(averaging_matrix), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.effect_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
     answer = adjustment.factorised_normals.multiply_by_covariance(columns).T @ design.T
-    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
+    by_extra = (noise / problem.reading_sigmas.ravel()) @ problem.model.extra_design(sightings).reshape(
+        noise.shape[1], n_extra
+    )
     errors = np.zeros((design.shape[0], 0))
     if unmodelled_effects:
         space = ResidualSpace.from_adjustment(adjustment)
@@ -387,7 +389,7 @@ def _coordinate_difference_matrix(expected_precision: ExpectedPrecision) -> Floa
     """
     state = expected_precision.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
-    motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
+    motion = rigid_motion_jacobian(state.target_points, state.target_points.mean(axis=0))
     non_rigid_projector = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
     turned = np.einsum("ctl,sli->scti", non_rigid_projector.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)

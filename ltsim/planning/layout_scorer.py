@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
+from ltsim.adjustment.problem import DATUM_CONSTRAINT_SIGMAS, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import cross_matrix, determines_pose, rigid_motion_design, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, determines_pose, rigid_motion_jacobian, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
@@ -105,7 +105,7 @@ class LayoutScorer:
         self._store_shared_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.is_recorded_observable
         self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
-        self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
+        self._target_motions = rigid_motion_jacobian(survey.target_points) @ self._free_motions
 
     def _store_shared_blocks(
         self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints
@@ -335,7 +335,9 @@ class LayoutScorer:
         datum_rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
         datum_rows[..., :3] += np.cross(datum_rows[..., 3:], anchors[:, None])
         datum_rows[..., 3:] *= self._fixes_datum_rotations
-        return (datum_rows / DATUM_SIGMA * NORMAL_EQUATION_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
+        return (datum_rows / DATUM_CONSTRAINT_SIGMAS * NORMAL_EQUATION_LENGTH_UNIT).reshape(
+            len(datum_rows), motion.shape[1], -1
+        )
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Weighted root mean square point error (B,) [m] of targets in B layouts, with the survey's target weights.

@@ -15,7 +15,7 @@ from ltsim.planning.tolerances import ToleranceCheck, is_tolerance_met, toleranc
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
-    from ltsim.adjustment.remedies.detectability import MinimalSize
+    from ltsim.adjustment.remedies.detectability import MinimalDetectableSize
     from ltsim.planning.expected_precision import ExpectedDisagreement, ExpectedPrecision
     from ltsim.planning.planner import LayoutEvaluation, TradeoffPoint
     from ltsim.planning.survey import PlannedSurvey
@@ -360,7 +360,7 @@ class DetectableSize(Entry):
     """Fraction of the change of the readings by the effect that remains in the residuals, median over all variants."""
 
     @classmethod
-    def from_minimal_size(cls, row: MinimalSize) -> Self:
+    def from_minimal_size(cls, row: MinimalDetectableSize) -> Self:
         """Entry of a row of the detectability report, with sizes in the units of display."""
         factor = SI_PER_UNIT[row.unit]
         return cls(

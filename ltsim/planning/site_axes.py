@@ -9,7 +9,7 @@ from ltsim.adjustment.remedies.candidates import FloorPlanTransform
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.search_space import SearchSpace
@@ -28,7 +28,7 @@ which the axes count as equal. Nominal positions are accurate to decimetres; in 
 def with_station_poses_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The axes follow from the targets that have names of points of the plan. With fewer than `MIN_RIGID_POINTS` such
+        The axes follow from the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such
     targets the nominal positions of the stations must be in these axes, and the recording is returned unchanged.
     `search_space` is that of the plan, `site_name` the name of the plan in errors.
 
@@ -72,7 +72,7 @@ def _site_transformation_from_points(
     """
     point_by_name = dict(zip(search_space.survey.target_names, search_space.survey.target_points, strict=True))
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
-    if len(names) < MIN_RIGID_POINTS:
+    if len(names) < MIN_POINTS_FOR_POSE:
         return None
     target_points = state.target_points[[recording.targets.index(name) for name in names]]
     there = np.array([point_by_name[name] for name in names])

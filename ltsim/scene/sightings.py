@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_derivatives
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
+from ltsim.geometry.polar import beam_frame_axes, polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
 """Rotation [rad] of an axis between two pointings above which the axis has moved."""
@@ -104,7 +104,7 @@ class Sightings:
     @cached_property
     def ideal_raw_readings(self) -> Floats:
         """Ideal (error-free) ranges, azimuths and elevations of n pointings in their face, (n, 3) [m, rad]."""
-        return to_face(self.ideal_front_face_readings, self.face)
+        return swap_front_and_raw(self.ideal_front_face_readings, self.face)
 
     @property
     def instrument_readings(self) -> Floats:
@@ -149,7 +149,7 @@ class Sightings:
         """
         turn = self.station_rotations[self.station]
         beam, across, upward_part = (
-            np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation)
+            np.einsum("nij,nj->ni", turn, v) for v in beam_frame_axes(self.azimuth, self.elevation)
         )
         return beam, across, upward_part
 

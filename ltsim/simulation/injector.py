@@ -212,7 +212,9 @@ class Injector:
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
             used = np.flatnonzero(space.is_used_reading)
-            factor = 1.0 + (self.added_noise_sigma(effect, parameter_values) / space.sigma).reshape(-1)[used] ** 2
+            factor = (
+                1.0 + (self.added_noise_sigma(effect, parameter_values) / space.reading_sigmas).reshape(-1)[used] ** 2
+            )
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, parameter_values))
         whitened_change = space.whiten(change[:, :, None], self.length_change(effect, parameter_values)[:, None])[:, 0]
@@ -253,7 +255,7 @@ class Injector:
             if isinstance(effect, NoiseEffect)
             else self.reading_change(effect, parameter_values)
         )
-        return float(np.nanmax(np.abs(reading_changes) / self.residual_space.sigma, initial=0.0))
+        return float(np.nanmax(np.abs(reading_changes) / self.residual_space.reading_sigmas, initial=0.0))
 
     def inject(
         self,

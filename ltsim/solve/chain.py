@@ -1,9 +1,10 @@
-"""Sparse Cholesky factor for block tridiagonal matrices with a dense border, and the required parts of the inverse.
+"""Cholesky factor of a block tridiagonal matrix with a dense border, and submatrices of its inverse.
 
-Stations along a tunnel or round a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee their
-normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument parameters).
-The cost of the factor and of the required parts of the inverse is then proportional to the length of the chain and not
-to its cube. A matrix without such an order is one block, for which dense algebra is used.
+Stations along a tunnel or around a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee, their
+normal matrix is block tridiagonal (a chain of blocks). A dense border contains the unknowns that all stations share,
+such as instrument parameters. The cost of the factor, and of submatrices of the inverse on neighbouring blocks, is
+proportional to the length of the chain and not to its cube. A matrix without such an order is treated as one block, by
+dense algebra.
 """
 
 from dataclasses import dataclass
@@ -20,18 +21,18 @@ MAX_SINGLE_BLOCK_COLUMNS = 240
 """Largest number of columns of a matrix that is treated as one block, because an ordering would cost more than it
 saves."""
 MIN_BORDER_COLUMN_DENSITY = 0.6
-"""Fraction of non-zero entries in a column of the matrix above which the column belongs to the border."""
+"""Fraction of non-zero entries in a column of a matrix, above which the column belongs to the border of the chain."""
 MIN_BLOCK_COLUMNS = 48
-"""Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
+"""Smallest number of columns of a block of the chain. With smaller blocks function calls cost more than arithmetic."""
 
 INVERSE_COLUMNS_PER_BATCH = 512
 """Number of columns of a complete inverse that are computed at a time, to limit the memory for temporary matrices."""
 
 
-def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
-    """Order (K,) of K columns of a symmetric matrix as a chain of b blocks and a border, and their limits (b + 2,).
+def chain_order_and_block_limits(matrix: sp.csr_array) -> tuple[Ints, Ints]:
+    """Order (K,) in which K columns of a symmetric matrix form a chain of b blocks and a border, and limits (b + 2,).
 
-    In the new order block i has the positions from limit i to before limit i + 1. The border is last.
+    In this order block i has the positions from limit i to before limit i + 1. The border is last.
     """
     n_unknowns = matrix.shape[0]
     single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
@@ -54,17 +55,17 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True)
 class InverseSubmatrix:
-    """Submatrix of the inverse matrix on the w columns of two neighbouring blocks and the border."""
+    """Submatrix of the inverse of a block tridiagonal matrix, on two neighbouring blocks and the border (w columns)."""
 
     positions_of_columns: Ints
-    """Position in the submatrix of each of the K columns of the whole matrix, (K,); -1 for columns that are not in
-    it."""
+    """Position in the submatrix of each of the K columns of the whole matrix, (K,); -1 for columns outside the
+    submatrix."""
     inverse: Floats
-    """Submatrix (w, w) of the inverse matrix, on w columns and the rows with the same indices."""
+    """Submatrix (w, w) of the inverse matrix."""
 
 
 class BlockChainFactor:
-    """Cholesky factor of a positive definite sparse matrix with chain structure.
+    """Cholesky factor of a positive definite sparse matrix, ordered as a chain of blocks and a dense border.
 
     Raises LinAlgError if the matrix is not positive definite.
 
@@ -76,11 +77,11 @@ class BlockChainFactor:
     Attributes
     ----------
     block_of_column : (K,) int
-        Index of the block of each column, from 0; the number of blocks for columns of the border.
+        Index of the block of each column, from 0; for columns of the border the number of blocks.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
-        self._column_order, self._block_limits = arrange_as_chain(matrix)
+        self._column_order, self._block_limits = chain_order_and_block_limits(matrix)
         self.block_of_column = np.searchsorted(self._block_limits[1:-1], np.argsort(self._column_order), side="right")
         ordered, inner = sp.csc_array(matrix[self._column_order][:, self._column_order]), self._block_limits[-2]
         border_matrix = ordered[inner:, inner:].toarray()
@@ -115,13 +116,13 @@ class BlockChainFactor:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the Cholesky factorisation: the smallest squared diagonal entry of the factor."""
+        """Smallest pivot of the Cholesky factorisation: smallest squared diagonal entry of the factor."""
         return float(
             min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._diagonal_factors, self._border_factor))
         )
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K, c) of the linear systems of the factorised matrix of K columns, for c right-hand sides."""
+        """Solutions (K, c) of linear systems with the factorised matrix of K columns, for c right-hand sides (K, c)."""
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):
@@ -144,7 +145,7 @@ class BlockChainFactor:
         return solved
 
     def inverse(self) -> Floats:
-        """Complete inverse (K, K) of the factorised matrix, which has K columns."""
+        """Complete inverse (K, K) of the factorised matrix of K columns."""
         if self.n_blocks == 1:
             return self.inverse_submatrices_by_block[0].inverse
         n_unknowns = len(self._column_order)
@@ -161,7 +162,7 @@ class BlockChainFactor:
 
     @cached_property
     def inverse_submatrices_by_block(self) -> list[InverseSubmatrix]:
-        """Submatrices of the inverse matrix, one per block: on the columns of the block, the next block and the border.
+        """Submatrices of the inverse, one per block of the chain: on the block, the next block and the border.
 
         References
         ----------
@@ -190,7 +191,7 @@ class BlockChainFactor:
         return windows[::-1]
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:
-        """First position of a block, end of the block, and end of the next block, in the order of the chain."""
+        """First position of a block, end of the block, and end of the next block, in the column order of the chain."""
         last_block = len(self._block_limits) - 2
         return (
             int(self._block_limits[block_index]),
@@ -200,7 +201,7 @@ class BlockChainFactor:
 
 
 def inverse_from_cholesky(lower_factor: Floats) -> Floats:
-    """Inverse (k, k) of a symmetric matrix of k columns from its lower Cholesky factor (k, k)."""
+    """Inverse (k, k) of a symmetric matrix (k, k), from its lower Cholesky factor (k, k)."""
     if not len(lower_factor):
         return lower_factor
     lower, _ = scipy.linalg.lapack.dpotri(lower_factor, lower=1)

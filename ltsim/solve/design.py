@@ -1,9 +1,9 @@
 """Design matrices of least squares (dense if small, otherwise sparse), and tests for undetermined unknowns.
 
-Fixed tolerances decide which unknowns are undetermined. The failure of a factorisation is no criterion, because
-rounding errors of its pivots grow with the number of unknowns in the undetermined combination. If a pivot is small, the
-weakest direction is computed, which is the combination of unknowns that changes the observations least. The length of
-its product with the design decides.
+Fixed tolerances decide which unknowns are undetermined. The failure of a Cholesky factorisation is no criterion,
+because rounding errors of its pivots grow with the number of unknowns in an undetermined combination. If a pivot is
+small, the weakest direction is computed: the unit vector v of unknowns for which the norm of A v is smallest, where A
+is the design matrix. The unknowns along v are undetermined if the squared norm is at most `DESIGN_RANK_TOLERANCE`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,25 +15,24 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
-"""Largest number of entries of a design matrix that is stored as a dense array, which is then faster than a sparse
-one."""
+"""Largest number of entries of a design matrix that is stored as a dense array; larger ones are sparse matrices."""
 
 DESIGN_ROWS_PER_BATCH = 30_000
-"""Number of rows of a sparse design matrix that are processed at a time."""
+"""Number of rows of a sparse design matrix that are processed at a time, to limit the memory."""
 DESIGN_ENTRIES_PER_BATCH = 1_000_000
-"""Number of entries of a sparse design matrix that are processed at a time."""
+"""Number of entries of a sparse design matrix that are processed at a time, to limit the memory."""
 
 DesignMatrix: TypeAlias = Floats | sp.csr_array
 """Design matrix: a dense array, or a sparse matrix in row format."""
 
 
 class SparsityPattern:
-    """Sparsity pattern of a design matrix: positions of its entries, independent of their values.
+    """Sparsity pattern of a design matrix: row and column indices of its entries, independent of their values.
 
     Parameters
     ----------
     columns : sequence of (r, w) int
-        Column indices of the w entries in each of r rows. There is one array for each group of neighbouring rows with
+        Column indices of the w entries in each of r rows. There is one array for each group of consecutive rows with
         equal w, in the order of the rows. Entries of a row with the same column index are added.
     n_columns : int
         Number of columns of the design.
@@ -52,10 +51,10 @@ class SparsityPattern:
         else:
             self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
-    def fill(self, design_entries: Iterable[Floats]) -> DesignMatrix:
-        """Design matrix (m, n_columns) of m rows with the entries `design_entries`: an array (r, w) per group of rows.
+    def make_design_matrix(self, design_entries: Iterable[Floats]) -> DesignMatrix:
+        """Design matrix (m, n_columns) with this sparsity pattern, from the values of its entries.
 
-        Each of the r rows of a group has w entries, in the order of the indices `columns`.
+        `design_entries` is one array (r, w) per group of r rows, in the order of the column indices of the group.
         """
         entries, end = np.empty(self._n_entries), 0
         for kind in design_entries:
@@ -76,7 +75,7 @@ def to_dense(design: DesignMatrix) -> Floats:
 
 
 def inverse_column_norms(design: DesignMatrix) -> Floats:
-    """Reciprocal norms (u,) of the u columns of a design matrix with m rows (m, u); 1 for a column of zeros."""
+    """Reciprocal Euclidean norms (u,) of the u columns of a design matrix (m, u); 1 for a column of zeros."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
@@ -88,7 +87,7 @@ def inverse_column_norms(design: DesignMatrix) -> Floats:
 
 
 def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
-    """Sparse matrix of m rows (m, u) with each of its u columns multiplied by a factor, `column_factors` (u,)."""
+    """Sparse matrix (m, u) whose columns are those of `matrix_rows` (m, u), multiplied by `column_factors` (u,)."""
     return sp.csr_array(
         (matrix_rows.data * column_factors[matrix_rows.indices], matrix_rows.indices, matrix_rows.indptr),
         matrix_rows.shape,
@@ -96,13 +95,13 @@ def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_a
 
 
 def iterate_row_batches(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
-    """Iterator over batches of rows of a sparse design of m rows (m, u), with its u columns multiplied by factors."""
+    """Batches of rows of a sparse design matrix (m, u) with its columns multiplied by `column_factors` (u,)."""
     for first in range(0, design.shape[0], DESIGN_ROWS_PER_BATCH):
         yield scale_columns(design[first : first + DESIGN_ROWS_PER_BATCH], column_factors)
 
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
-    """Normal matrix A' A (n_columns, n_columns) of a sparse design matrix A, which is given in batches of its rows."""
+    """Normal matrix A' A (n_columns, n_columns) of a sparse design matrix A, from batches of the rows of A."""
     gram = sp.csr_array((n_columns, n_columns))
     for part in row_batches:
         gram = gram + sp.csr_array(part.T @ part)
@@ -110,7 +109,7 @@ def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_a
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
-    """Design matrix (m, u) of u columns with each of its m rows multiplied by its weight, `weight` (m,)."""
+    """Design matrix (m, u) whose rows are those of `design` (m, u), multiplied by `weight` (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
     entry_weights = np.repeat(weight, np.diff(design.indptr))
@@ -119,27 +118,28 @@ def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
 
 
 MIN_RELIABLE_PIVOT = 1e-8
-"""Pivot of a normal matrix with unit diagonal below which the pivot may be a rounding error. The weakest direction is
-then tested separately (`RANK_TOLERANCE`)."""
-RANK_TOLERANCE = 1e-14
-"""Squared length of the product of a design matrix, scaled to unit columns, and a unit vector of unknowns, at or below
-which the combination of unknowns along this vector is undetermined.
+"""Smallest pivot of a normal matrix with unit diagonal that is certainly no rounding error. Below it, the combination
+of unknowns that changes the observations least is tested separately (`DESIGN_RANK_TOLERANCE`)."""
+DESIGN_RANK_TOLERANCE = 1e-14
+"""Largest squared norm of A v at which the combination v of unknowns counts as undetermined, where A is the design
+matrix with columns of unit norm and v a unit vector.
 
-The tolerance is fifty times the rounding error of a Cholesky factorisation. The weakest direction of a chain of 2,000
-set-ups, which is determined, has the squared length 1e-13.
+The tolerance is fifty times the rounding error of a Cholesky factorisation. For a chain of 2,000 set-ups, whose
+unknowns are all determined, the smallest squared norm is 1e-13.
 """
 NORMAL_RANK_TOLERANCE = 1e-12
-"""Eigenvalue of a reduced normal matrix with unit diagonal, at or below which the combination of unknowns along its
-eigenvector is undetermined. Rounding errors of the eigenvalues are about 1e-15.
+"""Largest eigenvalue of a normal matrix with unit diagonal at which the combination of unknowns along the eigenvector
+counts as undetermined. Rounding errors of the eigenvalues are about 1e-15.
 """
 
 POINT_RANK_TOLERANCE = 1e-10
-"""Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which the position of the point is
-undetermined in one direction: the standard deviation in this direction is 100,000 times the smallest one."""
+"""Ratio of the smallest to the largest eigenvalue of the normal matrix (3, 3) of a point, below which the position of
+the point counts as undetermined in one direction. The standard deviation in this direction is then more than 100,000
+times the smallest one."""
 
 
 def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:
-    """Symmetric matrices of k columns (..., k, k) scaled to unit diagonal, and the scale factors (..., k).
+    """Symmetric matrices (..., k, k) scaled to unit diagonal, and the scale factors (..., k) of rows and columns.
 
     `diagonals` (..., k) are the diagonals of the matrices. A scale factor is the reciprocal square root of a diagonal
     entry, or 1 for an entry of zero.
@@ -150,10 +150,9 @@ def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tup
 
 
 def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
-    """Lower Cholesky factors of b normal matrices (b, k, k) with unit diagonal, and flags (b,) of regular ones.
+    """Lower Cholesky factors (b, k, k) of b normal matrices with unit diagonal, and flags (b,), True for regular ones.
 
-    Each matrix has k columns. Factors of singular matrices are NaN. Eigenvalues are computed only if a pivot is below
-    `MIN_RELIABLE_PIVOT`.
+    Factors of singular matrices are NaN. Eigenvalues decide on matrices with a pivot below `MIN_RELIABLE_PIVOT`.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)
@@ -174,5 +173,5 @@ MEDIAN_OF_ABSOLUTE_NORMAL = 0.6744897501960817
 
 
 def robust_sigma(residuals: Floats) -> float:
-    """Standard deviation of `residuals`, estimated from the median of their absolute values; 0 for an empty array."""
+    """Robust estimate of the standard deviation of `residuals`, from their median absolute value; 0 if empty."""
     return median(np.abs(residuals)) / MEDIAN_OF_ABSOLUTE_NORMAL if len(residuals) else 0.0

@@ -1,14 +1,14 @@
 """Linear least-squares step in which most unknowns are eliminated block by block.
 
 Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *retained* (the K
-other columns). No row of the design has entries in two blocks. The part of the normal equations for the eliminated
-unknowns is therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The
-cost is linear in the number of blocks.
+other columns). No row of the design matrix has entries in two eliminated blocks. The part of the normal equations for
+the eliminated unknowns is therefore block diagonal and inverted block by block. A system of size K remains, the Schur
+complement. The cost is linear in the number of blocks.
 
-Columns are scaled to unit norm before any factorisation, so that ranks do not depend on units.
+Columns are scaled to unit norm before any factorisation, so that decisions on rank do not depend on units.
 
-A dense implementation is for small systems and a sparse one for large systems. Both compute the solution, the leverage
-and the parts of the inverse that rows of the design need. Results are in units of the scaled columns.
+`DenseElimination` is for small systems and `SparseElimination` for large ones. They compute the solution, the leverage,
+and submatrices of the inverse normal matrix. Their results are in units of the scaled columns.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.chain import BlockChainFactor, inverse_from_cholesky
 from ltsim.solve.design import (
+    DESIGN_RANK_TOLERANCE,
     MIN_RELIABLE_PIVOT,
-    RANK_TOLERANCE,
     DesignMatrix,
     gram_matrix,
     inverse_column_norms,
@@ -39,10 +39,10 @@ from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:
-    """Elimination with dense matrices, for a design of m rows (m, K + 3 E).
+    """Factorised normal equations of a small system, with dense matrices.
 
-    The first K columns are retained, the others are E eliminated blocks of three. `damping` is added to the diagonal of
-    the normal matrix; raises LinAlgError if it is not positive definite.
+    The design matrix (m, K + 3 E) has K retained columns, then E eliminated blocks of three columns. `damping` is added
+    to the diagonal of the normal matrix. Raises LinAlgError if the damped normal matrix is not positive definite.
     """
 
     def __init__(self, design: Floats, n_retained: int, damping: float) -> None:
@@ -56,7 +56,7 @@ class DenseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the blocks and of the Schur complement."""
+        """Smallest pivot of the Cholesky factorisation of the normal matrix, scaled to unit diagonal."""
         return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
@@ -65,6 +65,7 @@ class DenseElimination:
 
     @cached_property
     def _inverse(self) -> Floats:
+        """Inverse (K + 3 E, K + 3 E) of the normal matrix, in units of the scaled columns."""
         return inverse_from_cholesky(self._cholesky_factor)
 
     @property
@@ -85,10 +86,10 @@ class DenseElimination:
         return self.inverse_submatrices(block_indices), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of linear functions, for each group R of neighbouring rows of `function_rows`.
+        """Covariances R N^-1 R' of linear functions of the unknowns, for each group R of consecutive functions.
 
-        The rows are the coefficients of the functions, N is the normal matrix. Group i has the rows from entry i of
-        `group_boundaries` to before entry i + 1.
+        Each row of `function_rows` (q, K + 3 E) has the coefficients of a function, N is the normal matrix. Group i has
+        the rows from entry i of `group_boundaries` to before entry i + 1.
         """
         for low, high in pairwise(group_boundaries.tolist()):
             group = function_rows[low:high].toarray() * self.column_scales
@@ -96,7 +97,7 @@ class DenseElimination:
 
 
 class SparseElimination:
-    """Elimination with sparse matrices; parameters as of `DenseElimination`.
+    """Factorised normal equations of a large system, with sparse matrices; parameters as for `DenseElimination`.
 
     The Schur complement is arranged as a chain of blocks (`solve.chain`) if its structure permits.
     """
@@ -117,7 +118,7 @@ class SparseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the blocks and of the Schur complement."""
+        """Smallest pivot of the Cholesky factorisations of the eliminated blocks and of the Schur complement."""
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
@@ -148,7 +149,7 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain to which any column of each set belongs; sets are along `axis`."""
+        """Index of the first block of the chain that contains a column of a set; sets of `columns` are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
@@ -185,7 +186,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of linear functions, as `DenseElimination.covariances_of_functions`."""
+        """Covariances R N^-1 R' of groups R of linear functions, as `DenseElimination.covariances_of_functions`."""
         function_rows = scale_columns(function_rows, self.column_scales)
         back = sp.csr_array(function_rows[:, self._n_retained :])
         reduced = sp.csr_array(function_rows[:, : self._n_retained] - back @ self._elimination_coefficients.T)
@@ -202,10 +203,10 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_retained: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Row indices (m,) of m rows sorted by eliminated block, limits of the groups of rows, and entries (m, 3).
+    """Row indices (m,) sorted by eliminated block, limits of the groups of rows with one block, and entries (m, 3).
 
-    A group has the rows of one block, in the sorted order. The entries are those of each row in the three columns of
-    its block. Rows without entries in an eliminated block are last, each as a group.
+    The entries are those of each of the m rows in the three columns of its block. Rows without entries in an eliminated
+    block are last in the order, each as one group.
     """
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_retained
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
@@ -218,10 +219,10 @@ def _rows_sorted_by_block(design: sp.csr_array, n_retained: int, n_blocks: int) 
 
 
 def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Dense array (r, k) of the r rows from `first_row` to before `end_row`, and the indices (k,) of its k columns.
+    """Dense array (r, k) of r rows of a sparse matrix, `first_row` to before `end_row`, and column indices (k,).
 
-    By default the array has the columns with entries in these rows. If sorted column indices `columns` are given, it
-    has these columns, and entries in other columns are ignored.
+    By default the array has those columns that contain entries in these rows. If sorted column indices `columns` (k,)
+    are given, it has these columns, and entries in other columns are ignored.
     """
     begin, end = matrix.indptr[first_row], matrix.indptr[end_row]
     indices = matrix.indices[begin:end]
@@ -274,16 +275,16 @@ def _block_diagonal(blocks: Floats) -> sp.csr_array:
 UNDETERMINED_MESSAGE = (
     "the observations do not determine all unknowns; let stations share more targets, and check the declared noise"
 )
-"""Error message for a system with undetermined unknowns."""
+"""Error message for a least-squares system with undetermined unknowns."""
 
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """Whitened linear least-squares problem with m observations: minimise |design @ step - whitened_residuals|^2."""
+    """Whitened linear least-squares problem of m observations: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
-    """Whitened design matrix of m rows (m, K + 3 E): K columns of retained unknowns, then E blocks of three columns of
-    eliminated unknowns."""
+    """Whitened design matrix (m, K + 3 E): K columns of retained unknowns, then E blocks of three columns of eliminated
+    unknowns."""
     whitened_residuals: Floats
     """Observed minus predicted values of m observations, divided by their standard deviations, (m,)."""
     n_retained: int
@@ -296,13 +297,13 @@ class BlockSystem:
 
 
 class SingularSystemError(NetworkError):
-    """Error for a linear system that leaves a combination of unknowns undetermined (`RANK_TOLERANCE`)."""
+    """Error for a least-squares system that leaves a combination of unknowns undetermined (`DESIGN_RANK_TOLERANCE`)."""
 
 
-class BlockFactor:
+class FactorisedNormals:
     """Factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
 
-    Raises SingularSystemError if rows and damping leave a combination of unknowns undetermined.
+    Raises SingularSystemError if observations and damping leave a combination of unknowns undetermined.
 
     Parameters
     ----------
@@ -325,18 +326,18 @@ class BlockFactor:
         self._column_scales = self._elimination.column_scales
         if (
             self._elimination.smallest_pivot < MIN_RELIABLE_PIVOT
-            and damping + self._weakest_direction_squared_length() <= RANK_TOLERANCE
+            and damping + self._weakest_direction_squared_length() <= DESIGN_RANK_TOLERANCE
         ):
             raise SingularSystemError(UNDETERMINED_MESSAGE)
 
-    def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
+    def __reduce__(self) -> tuple[type[FactorisedNormals], tuple[BlockSystem, float]]:
         """Constructor and its arguments for pickling: the linear system, which is smaller than its factor."""
-        return BlockFactor, (self._system, self._damping)
+        return FactorisedNormals, (self._system, self._damping)
 
     def _weakest_direction_squared_length(self) -> float:
-        """Squared length of the product of the scaled design and the unit vector of the weakest direction.
+        """Smallest squared norm of A v over all unit vectors v, for the design matrix A with columns of unit norm.
 
-        The direction is computed by inverse iteration. The length is accurate even if it is near zero.
+        The minimising v is computed by inverse iteration. The squared norm is accurate even if it is near zero.
         """
         vector = np.cos(np.arange(len(self._column_scales), dtype=np.float64))[:, None]
         for _ in range(3):
@@ -345,7 +346,7 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped step of K retained and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
+        """Damped change (K + 3 E,) of the unknowns that fits whitened residuals (m,); default those of the system."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.multiply_by_covariance(right_side[:, None])[:, 0]
 
@@ -359,9 +360,9 @@ class BlockFactor:
 
     @single_threaded
     def covariance_submatrices(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k retained unknowns, given by their columns (c, k).
+        """Covariances (c, k, k) of c sets of k retained unknowns; `columns` (c, k) are indices in the design matrix.
 
-        The computation is efficient if the unknowns of each set occur together in a row of the design.
+        The computation is fast if the unknowns of each set occur together in an observation equation.
         """
         scale = self._column_scales[columns]
         return self._elimination.inverse_submatrices(columns) * scale[:, :, None] * scale[:, None, :]
@@ -374,16 +375,16 @@ class BlockFactor:
 
     @single_threaded
     def multiply_by_covariance(self, vectors: Floats) -> Floats:
-        """Product of the covariance matrix of K retained and 3 E eliminated unknowns and c `vectors` (K + 3 E, c)."""
+        """Product (K + 3 E, c) of the covariance matrix of all K + 3 E unknowns and c `vectors` (K + 3 E, c)."""
         return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the normal matrix scaled to unit diagonal."""
+        """Smallest pivot of the Cholesky factorisation of the normal matrix, scaled to unit diagonal."""
         return self._elimination.smallest_pivot
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariance matrices R N^-1 R' of groups R of linear functions of the unknowns.
+        """Covariance matrices R N^-1 R' of linear functions of the unknowns, for each group R of consecutive functions.
 
         `function_rows` (q, K + 3 E) are the coefficients of q functions of K retained and 3 E eliminated unknowns, N is
         the normal matrix. Group i has the rows from entry i of `group_boundaries` to before entry i + 1.
@@ -392,8 +393,8 @@ class BlockFactor:
 
     @single_threaded
     def leverage(self) -> Floats:
-        """Leverage (m,) of each of m rows: derivative of its fitted value with respect to its observation.
+        """Leverages (m,) of m observations: derivative of each fitted value with respect to its observation.
 
-        The redundancy of a row is one minus its leverage.
+        The redundancy number of an observation is one minus its leverage.
         """
         return self._elimination.inverse_blocks_and_leverage[1]

@@ -8,35 +8,36 @@ from typing import Generic, Protocol, TypeVar
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 
 UnknownsT = TypeVar("UnknownsT")
-"""Type of one set of values of the unknowns."""
+"""Type of the values of all unknowns, for example `NetworkState`."""
 MAX_ITERATIONS = 60
-"""Largest number of steps of an iteration that otherwise ends when its error is below a tolerance. If each step reduces
-the error to 0.74 of the previous one or less, it is below `SQRT_MACHINE_EPSILON` (1.5e-8) after 60 steps; an iteration
-that needs more steps counts as not convergent.
+"""Largest number of steps of any iteration that normally ends at a tolerance. If each step multiplies the error by 0.74
+or less, the error is below `SQRT_MACHINE_EPSILON` (1.5e-8) after 60 steps. An iteration that needs more steps counts as
+not convergent.
 """
 MAX_DECISION_CHANGES = 6
-"""Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
-widened priors, selected causes. The alternation ends when the decision does not change; if decisions repeat in a cycle,
-the last one counts.
+"""Largest number of alternations between an estimate and a decision that depends on it, for example on outliers,
+widened priors or selected causes. The alternation ends when the decision does not change. If decisions repeat in a
+cycle, the last one counts.
 """
 MAX_CONVERGENCE_RATIO = 0.9
-"""Ratio of the lengths of successive steps, or of successive misclosures, up to which an iteration counts as
-converging. It also bounds the estimated ratio in a secant step, which is then at most ten times the last change.
+"""Largest ratio of a step (or misclosure) to the previous one at which an iteration counts as converging. A secant step
+uses at most this ratio too, so that it is at most ten times the last change.
 """
 SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in units of the standard deviations of the unknowns, below which the iteration has
 converged."""
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
 """Squared length of a step, in units of the standard deviations of the unknowns, below which the next step uses the
-same design matrix."""
+same design matrix, to save its computation."""
 MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO = 1e-4
-"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which the next step is not
-computed. Its length is then below a millionth of a standard deviation."""
+"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE`, below which the next step is not
+computed, because its length is below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
-"""Levenberg-Marquardt damping up to which a short step counts as convergence. More damping itself shortens steps."""
+"""Largest Levenberg-Marquardt damping at which a short step counts as convergence. Larger damping itself shortens the
+steps."""
 MAX_SQUARED_ROUNDING_STEP = 1e-4
 """Squared length, in units of the standard deviations of the unknowns, below which steps that no longer decrease count
 as rounding errors and end the iteration. Such errors occur with large coordinates."""
@@ -45,21 +46,21 @@ as rounding errors and end the iteration. Such errors occur with large coordinat
 class LeastSquaresProblem(Protocol[UnknownsT]):
     """Interface of a nonlinear least-squares problem to the Gauss-Newton iteration.
 
-    A point is one set of values of the unknowns. It may be any object, such as a network state with rotations.
+    The values of the unknowns may be any object, such as a `NetworkState` with rotation matrices.
     """
 
     def linearise(self, x: UnknownsT) -> BlockSystem:
-        """Whitened linear system (design matrix and residuals) at the point x."""
+        """Whitened linear system (design matrix and residuals) at the values `x` of the unknowns."""
 
     def whitened_residuals(self, x: UnknownsT) -> Floats:
-        """Whitened residuals (m,) of m observations at the point x, computed without the design matrix."""
+        """Whitened residuals (m,) of m observations at the values `x` of the unknowns, without the design matrix."""
 
-    def retract(self, point: UnknownsT, step: Floats) -> UnknownsT:
-        """Point that results from `point` by a step (u,) of all u unknowns."""
+    def retract(self, values: UnknownsT, step: Floats) -> UnknownsT:
+        """Values of the unknowns after a `step` (u,) of all u unknowns from `values`."""
 
 
 class TerminationStatus(Enum):
-    """Termination status of an iteration; the value of a member is its description for the user."""
+    """Termination status of the Gauss-Newton iteration; the value of a member is its description for the user."""
 
     CONVERGED = "the last step was far below one standard deviation"
     STALLED = "no damped step reduces the sum of squares further"
@@ -71,47 +72,50 @@ class TerminationStatus(Enum):
 
 @dataclass(frozen=True)
 class Solution(Generic[UnknownsT]):
-    """Result of the Gauss-Newton iteration: the last point and its linear system."""
+    """Result of the Gauss-Newton iteration: last values of the unknowns, linear system and termination status."""
 
     x: UnknownsT
-    """Last point of the iteration: the values of the unknowns."""
+    """Values of the unknowns after the last iteration."""
     sum_of_squares: float
-    """Sum of squared whitened residuals at the last point."""
+    """Sum of squared whitened residuals at the values `x` of the unknowns."""
     n_iterations: int
     """Number of iterations; 0 for planned observations."""
     status: TerminationStatus
     """Reason why the iteration ended."""
-    factor: BlockFactor | None
-    """Factorised undamped normal equations at the last point; None if they are singular."""
+    factor: FactorisedNormals | None
+    """Factorised undamped normal equations at the values `x` of the unknowns; None if they are singular."""
     system: BlockSystem
-    """Whitened linear system at the last point."""
+    """Whitened linear system at the values `x` of the unknowns."""
 
     @property
     def has_converged(self) -> bool:
-        """True if the iteration converged to an optimum, or if the observations are only planned."""
+        """True if the iteration converged, or if the observations are only planned and nothing was iterated."""
         return self.status in (TerminationStatus.CONVERGED, TerminationStatus.PLANNED)
 
     def require_success(self) -> Solution[UnknownsT]:
-        """Solution itself if the iteration converged; otherwise raises `ConvergenceError` with the status."""
+        """The solution itself if the iteration converged; otherwise `ConvergenceError` with the status is raised."""
         if not self.has_converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self
 
 
-def solution_for_plan(problem: LeastSquaresProblem[UnknownsT], point: UnknownsT) -> Solution[UnknownsT]:
-    """Solution for planned observations: the linear system at `point`, for the precision of the unknowns.
+def solution_for_plan(problem: LeastSquaresProblem[UnknownsT], unknowns: UnknownsT) -> Solution[UnknownsT]:
+    """Solution for planned observations at the values `unknowns`, for the precision of the unknowns; no iteration.
 
     Raises SingularSystemError if the observations do not determine all unknowns.
     """
-    system = problem.linearise(point)
-    return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
+    system = problem.linearise(unknowns)
+    return Solution(unknowns, system.sum_of_squares, 0, TerminationStatus.PLANNED, FactorisedNormals(system), system)
 
 
 def solve(
-    problem: LeastSquaresProblem[UnknownsT], start_point: UnknownsT, *, max_iterations: int = 30
+    problem: LeastSquaresProblem[UnknownsT], start_values: UnknownsT, *, max_iterations: int = 30
 ) -> Solution[UnknownsT]:
-    """Minimum of a sum of squared residuals, by at most `max_iterations` iterations from `start_point`."""
-    x, damping, previous_length, had_regular_normals = start_point, 0.0, float("inf"), False
+    """Least-squares solution by the Gauss-Newton iteration with Levenberg-Marquardt damping.
+
+    The iteration starts at the values `start_values` of the unknowns and has at most `max_iterations` steps.
+    """
+    x, damping, previous_length, had_regular_normals = start_values, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, max_iterations + 1):
         factor, damping = _damped_factor(system, damping)
@@ -171,39 +175,43 @@ def solve(
 
 
 def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
-    """Squared length of a `step` (u,) of all u unknowns, in units of their standard deviations."""
+    """Squared length of a `step` (u,) of u unknowns, in units of their standard deviations (Mahalanobis)."""
     prediction_change = block_system.design @ step
     return float(prediction_change @ prediction_change)
 
 
 def _step_with_previous_design(
-    problem: LeastSquaresProblem[UnknownsT], point: UnknownsT, block_system: BlockSystem, normal_equations: BlockFactor
+    problem: LeastSquaresProblem[UnknownsT],
+    unknowns: UnknownsT,
+    block_system: BlockSystem,
+    normal_equations: FactorisedNormals,
 ) -> tuple[UnknownsT, BlockSystem] | None:
-    """Point and linear system after one more step with the previous design; None if the step is not below tolerance.
+    """Values of the unknowns and linear system after one more step with the previous design matrix.
 
-    `block_system` is the previous system, `normal_equations` its factor. After a step of one standard deviation the
-    design matrix is the same to five digits. It is therefore used again, with the residuals at the new point.
+    The result is None if this step is longer than `SQUARED_STEP_TOLERANCE`. `unknowns` are the present values,
+    `block_system` is the previous system and `normal_equations` its factor. After a step of one standard deviation the
+    design matrix is the same to five digits. It is therefore used again, with new residuals.
     """
-    residual = problem.whitened_residuals(point)
+    residual = problem.whitened_residuals(unknowns)
     step = normal_equations.step(residual)
     if not _squared_step_length(block_system, step) < SQUARED_STEP_TOLERANCE:
         return None
-    return problem.retract(point, step), _system_after_step(block_system, residual, step)
+    return problem.retract(unknowns, step), _system_after_step(block_system, residual, step)
 
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """Linear system with the same design matrix after a `step`; its residuals are `residual` minus design @ step."""
+    """Linear system with the same design matrix and the residuals that remain of `residual` after a `step`."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_retained)
 
 
-def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
-    """Factorised normal equations and their damping: `damping`, or a larger one if the normal matrix is singular.
+def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[FactorisedNormals | None, float]:
+    """Factorised normal equations and their damping: `damping`, or larger if the normal matrix is singular.
 
-    The factorisation is None if the matrix is singular even with a damping of 0.01.
+    The factorised normal equations are None if the matrix is singular even with a damping of 0.01.
     """
     while True:
         try:
-            return BlockFactor(block_system, damping), damping
+            return FactorisedNormals(block_system, damping), damping
         except SingularSystemError:
             if damping >= 1e-2:
                 return None, damping
@@ -211,26 +219,27 @@ def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFact
 
 
 def _final_solution(
-    point: UnknownsT,
+    unknowns: UnknownsT,
     block_system: BlockSystem,
     n_iterations: int,
     termination_status: TerminationStatus,
     *,
     had_regular_normals: bool,
 ) -> Solution[UnknownsT]:
-    """Solution at a point with undamped normal equations; if they are singular, its status states the cause.
+    """Solution at the values `unknowns`, with undamped normal equations and `termination_status`.
 
-    `had_regular_normals` is True if the normal equations were regular at an earlier point of the iteration.
+    If the normal equations are singular, the status is `CONTRADICTORY` or `SINGULAR`: with `had_regular_normals` they
+    were regular in an earlier iteration, so that contradicting observations are the cause.
     """
     try:
-        factor = BlockFactor(block_system)
+        factor = FactorisedNormals(block_system)
     except SingularSystemError:
         return Solution(
-            point,
+            unknowns,
             block_system.sum_of_squares,
             n_iterations,
             TerminationStatus.CONTRADICTORY if had_regular_normals else TerminationStatus.SINGULAR,
             None,
             block_system,
         )
-    return Solution(point, block_system.sum_of_squares, n_iterations, termination_status, factor, block_system)
+    return Solution(unknowns, block_system.sum_of_squares, n_iterations, termination_status, factor, block_system)

@@ -1,9 +1,9 @@
 """Exact solver for least absolute deviations: a linear program, solved by a descent from vertex to vertex.
 
-At a vertex as many residuals are zero as there are unknowns. Reweighted least squares approaches the optimum in a few
-passes. From there the solver moves along edges to neighbouring vertices until no neighbour has a smaller sum of
-absolute residuals (Barrodale and Roberts 1973). The result is exact, unlike that of reweighted least squares, whose
-weights need a lower bound on the residuals.
+At a vertex of the linear program as many residuals are zero as there are unknowns. Reweighted least squares gives an
+approximate optimum. From there the solver moves along edges to neighbouring vertices until no neighbour has a smaller
+sum of absolute residuals (Barrodale and Roberts 1973). Reweighted least squares alone is not exact, because its weights
+need a lower bound on the residuals.
 """
 
 import numpy as np
@@ -13,19 +13,19 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 
 N_REWEIGHTING_PASSES = 12
-"""Number of passes of reweighted least squares that compute the start point. The lower bound on residuals decreases
-from pass to pass, from the median absolute residual to a hundredth of it."""
+"""Number of passes of reweighted least squares that compute the start values of a least-absolute-deviations solution.
+The lower bound on residuals decreases from pass to pass, from the median absolute residual to a hundredth of it."""
 CANDIDATE_ROWS_PER_UNKNOWN = 8
-"""Number of rows of the design from which the first vertex is selected, divided by the number of unknowns. The rows
-with the smallest residuals are used."""
+"""Number of rows of the design matrix from which the zero residuals of the first vertex are selected, divided by the
+number of unknowns. The rows with the smallest residuals are used."""
 RELATIVE_DATA_PERTURBATION = 1e-6
-"""Size of the perturbation of the observations, divided by the median absolute residual. The perturbation ensures that
-at no vertex more residuals are zero than there are unknowns, where the descent could cycle."""
+"""Size of a perturbation of the observations, divided by the median absolute residual. Without the perturbation a
+vertex may have more zero residuals than there are unknowns, and the descent could cycle there."""
 MAX_DESCENT_EDGES = 2000
-"""Largest number of edges of one descent, after which the solver raises NetworkError."""
-ROUNDING_TOLERANCE = 1e-9
-"""Relative slope of the sum of absolute residuals along an edge, up to which it counts as zero (rounding errors) and
-the vertex as optimal."""
+"""Largest number of edges of one descent from vertex to vertex; after them the solver raises NetworkError."""
+ZERO_SLOPE_TOLERANCE = 1e-9
+"""Largest relative slope of the sum of absolute residuals along an edge that counts as zero (rounding error). If no
+edge has a larger slope, the vertex is optimal."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
@@ -40,7 +40,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
     observations : (m,) float
         The m observed values.
     start_solution : (k,) float, optional
-        Start point of the descent. The solution does not depend on it.
+        Start values of the unknowns. The solution does not depend on them.
     """
     x = (
         np.asarray(np.linalg.lstsq(design, observations, rcond=None)[0], dtype=np.float64)
@@ -61,9 +61,9 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
 
 
 def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of the k rows with zero residual at the optimal vertex, by descent along the steepest edge.
+    """Indices (k,) of the k rows with zero residual at the optimal vertex, by descent along the steepest edges.
 
-    `start_solution` (k,) is the point near which the first vertex is selected.
+    `start_solution` (k,) contains the values of the unknowns near which the first vertex is selected.
     """
     vertex_rows = _first_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
@@ -73,18 +73,18 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
         multipliers = (np.sign(residual) @ design) @ inverse
         leaving_index = int(np.argmax(np.abs(multipliers)))
         slope = abs(float(multipliers[leaving_index])) - 1.0
-        if slope <= ROUNDING_TOLERANCE:
+        if slope <= ZERO_SLOPE_TOLERANCE:
             return vertex_rows
         edge_rates = design @ (np.sign(multipliers[leaving_index]) * inverse[:, leaving_index])
         edge_rates[vertex_rows] = 0.0
         vertex_rows[leaving_index] = _entering_row(residual, edge_rates, slope)
     raise NetworkError(
-        f"the minimisation of absolute deviations found no solution after {MAX_DESCENT_EDGES} steps; check the readings"
+        f"the minimisation of absolute deviations did not converge in {MAX_DESCENT_EDGES} steps; check the readings"
     )
 
 
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of k linearly independent rows with the smallest residuals at the point `start_solution` (k,)."""
+    """Indices (k,) of k linearly independent rows with small residuals at the values `start_solution` (k,)."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_PER_UNKNOWN * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
@@ -93,9 +93,9 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
 
 
 def _entering_row(residual: Floats, residual_rates_along_edge: Floats, objective_slope: float) -> int:
-    """Index of the row whose residual is zero at the point of an edge with the smallest sum of absolute residuals.
+    """Index of the row whose residual becomes zero where the sum of absolute residuals along an edge is smallest.
 
-    The point is a weighted median. `residual_rates_along_edge` (m,) is the decrease of each of the m entries of
+    This place is a weighted median. `residual_rates_along_edge` (m,) is the decrease of each of the m entries of
     `residual` per unit of length along the edge, `objective_slope` the initial decrease of the sum of absolute
     residuals per unit of length.
     """

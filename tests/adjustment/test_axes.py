@@ -105,7 +105,7 @@ def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recordin
     [
         (lambda p: p * 1000, "are 1000 times the measured ones"),
         (lambda p: p * [1, 1, -1], "left-handed"),
-        (lambda p: p[[3, 5, 1, 0, 2, 4]], "times the measured ones|check the hall"),
+        (lambda p: p[[3, 5, 1, 0, 2, 4]], "times the measured ones|check that hall"),
     ],
 )
 def test_what_is_not_this_network_is_refused(recording: Recording, change: object, says: str) -> None:

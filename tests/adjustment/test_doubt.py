@@ -56,9 +56,9 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda x: x * [1.0, -1.0, 1.0], "fit mirrored"),
-        (lambda x: 2.0 * x, "fit if multiplied by 0.5"),
-        pytest.param(lambda x: 0.0 * x, "all of these points have the same coordinates", marks=pytest.mark.long),
+        (lambda x: x * [1.0, -1.0, 1.0], "fit the mirror image"),
+        (lambda x: 2.0 * x, "fit if their coordinates are multiplied by 0.5"),
+        pytest.param(lambda x: 0.0 * x, "all known points have the same coordinates", marks=pytest.mark.long),
         (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
     ],
 )

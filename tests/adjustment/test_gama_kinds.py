@@ -241,7 +241,7 @@ def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds
 def test_a_network_of_directions_alone_has_no_scale(tmp_path: Path) -> None:
     points = placed("A B C D E", 'adj="xy"')
     network = Network(points, sights("direction", "AB AC AD BA BC BD CA CB CE DA DB EC EA"), "").measured(0)
-    with pytest.raises(NetworkError, match="no two known points give the network its scale"):
+    with pytest.raises(NetworkError, match="no distance, known length or two known points"):
         adjust(read(network.write(tmp_path / "network.gkf"))).require_solution()
 
 

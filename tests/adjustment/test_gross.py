@@ -37,7 +37,7 @@ def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -
     mended, (finding,) = correct_units(written(recording, rows, SLIPS[slip]))
     np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
     assert (finding.effect_name, finding.stations) == ("wrong-unit", (recording.stations[2],))
-    assert finding.rows.tolist() == rows.tolist()
+    assert finding.pointing_indices.tolist() == rows.tolist()
     assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].description}."
 
 
@@ -57,7 +57,7 @@ def test_faces_follow_the_raw_elevation() -> None:
     stored[rows] = 1
     mended, (finding,) = correct_faces(recording.replace(face=stored))
     assert mended.face.tolist() == recording.face.tolist()
-    assert (finding.effect_name, finding.rows.tolist()) == ("face-confusion", rows.tolist())
+    assert (finding.effect_name, finding.pointing_indices.tolist()) == ("face-confusion", rows.tolist())
     assert correct_faces(recording) == (recording, [])
 
 

@@ -294,7 +294,7 @@ def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> N
         test for test in adjust(controlled_noisy, tested_reference_kinds=()).reference_tests if test.kind == "point"
     ]
     assert len(known_tests) == len(SIX)
-    assert known_tests[0].sigma[0] == pytest.approx(factor * SIGMA * 1e-3, rel=0.2)
+    assert known_tests[0].declared_sigmas[0] == pytest.approx(factor * SIGMA * 1e-3, rel=0.2)
 
 
 def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
@@ -331,10 +331,10 @@ def test_the_sigma_of_an_error_agrees_with_its_w() -> None:
         "axes",
         "P05",
         "xyz",
-        sigma=np.full(3, 1e-5),
+        declared_sigmas=np.full(3, 1e-5),
         residual=error,
         error=error,
-        sigma_error=np.sqrt(np.diag(covariance)),
+        error_sigmas=np.sqrt(np.diag(covariance)),
         chi2_drop=float(error @ np.linalg.solve(covariance, error)),
         rank=3,
     )

@@ -100,7 +100,7 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     found = adjust(recording)
     rows = to_dense(found.solution.system.design)[int(found.problem.is_used_reading.sum()) :][:3]
     columns = found.problem.unknowns.target_columns[gauge.first_targets]
-    along = gauge.unit_vectors(found.state.target_points)
+    along = gauge.line_directions(found.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
@@ -209,7 +209,7 @@ def test_what_a_check_accepts_is_rejected_by_no_verb(scale: float, is_accepted: 
     assert is_accepted or "known lengths" in found.sentence
     plain, full = adjust(scaled), adjust(scaled, misalignment_construction())
     assert not is_accepted or not plain.rejected_references
-    errors = [{t.name: t.sigma_error for t in a.reference_tests if t.kind == "length"} for a in (plain, full)]
+    errors = [{t.name: t.error_sigmas for t in a.reference_tests if t.kind == "length"} for a in (plain, full)]
     assert errors[0].keys() == errors[1].keys()
     for name, sigma in errors[0].items():
         np.testing.assert_allclose(sigma, errors[1][name], rtol=0.01)

@@ -50,7 +50,7 @@ def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(heigh
     found = adjust(recording)
     (wrong,) = found.rejected_references
     assert (wrong.kind, wrong.name, wrong.is_height_error) == ("mark", "S4", True)
-    assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.sigma_error[2])
+    assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.error_sigmas[2])
     cause = ("above", "low") if height > 0 else ("below", "high")
     assert "{} the mark of S1 (its height is declared too {})".format(*cause) in wrong.sentence
     assert not found.is_gross_pointing.any()
@@ -82,7 +82,7 @@ def test_a_height_that_was_not_stated_is_told_with_its_size(height: float) -> No
     readings[30] = to_polar(raised)[0]
     found = adjust(recording.with_readings(readings))
     ((told, mended, _),) = detect_blunders(found)
-    assert told.rows.tolist() == [30]
+    assert told.pointing_indices.tolist() == [30]
     assert told.displacement == pytest.approx(abs(height), abs=0.05e-3)
     assert f"{1e3 * abs(height):.0f}." in told.sentence
     np.testing.assert_allclose(mended[0], recording.readings[30], atol=2e-5)

@@ -31,7 +31,7 @@ def test_a_plan_that_leaves_a_station_open_is_refused_with_its_name() -> None:
     recording, state = workshop()
     readings = recording.readings.copy()
     readings[(recording.station == 3) & (recording.target > 1)] = np.nan
-    with pytest.raises(NetworkError, match="station S4 sees fewer than three targets that are not on one line"):
+    with pytest.raises(NetworkError, match="station S4 measures fewer than three targets that are not on one line"):
         Adjustment.from_plan(recording.with_readings(readings), state)
 
 

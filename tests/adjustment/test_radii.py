@@ -94,7 +94,7 @@ def test_without_the_column_they_are_off_by_the_difference_of_the_radii() -> Non
 @pytest.mark.parametrize("known", [(), CONTROL[:1], CONTROL[:2]])
 def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(known: tuple[str, ...]) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
-    with pytest.raises(NetworkError, match=r"directions of the normals are unknown; .* three known points"):
+    with pytest.raises(NetworkError, match=r"directions of these normals are unknown.* three known points"):
         adjust(controlled(recording, truth, known))
 
 

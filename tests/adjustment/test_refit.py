@@ -63,7 +63,9 @@ def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
     true = StationSettling(("S3",), time_constant=480.0)
     recording = with_effect(true, [30e-6, -20e-6, 40e-6], noise=2.0)
     start = adjust(recording, misalignment_construction(), effects=[true], noise_grouping="observable")
-    found = refit_with_effects(start.with_effects, [true], start_state=start.state, fixed_constants=[{"time_constant"}])
+    found = refit_with_effects(
+        start.with_effects, [true], start_state=start.state, fixed_shape_parameters=[{"time_constant"}]
+    )
     assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
     assert [one.parameter for one in found.estimates[0]] == list(true.parameters)
     assert [one.value for one in found.estimates[0]] == pytest.approx(start.state.extra_parameters, rel=1e-6)

@@ -41,7 +41,7 @@ def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     assert found.dof == plain.dof
     system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
     design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.is_used_reading
-    reach = shared.reading_changes_per_sigma[used] / plain.sigma[used][:, None]
+    reach = shared.reading_changes_per_sigma[used] / plain.reading_sigmas[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
     rows = slice(0, len(reach))
     design[rows], residual[rows] = np.linalg.solve(root, design[rows]), np.linalg.solve(root, residual[rows])

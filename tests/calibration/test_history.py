@@ -267,5 +267,7 @@ def test_half_differences_are_those_of_the_parameters(make):
     raw = two_face_pairs(recording)
     assert np.abs(raw.half_differences[:, 2]) == pytest.approx(12e-6, abs=12e-6)
     assert raw.half_differences[:, 0] == pytest.approx(-20e-6 * np.cos(raw.mean_front_face_readings[:, 2]), rel=1e-3)
-    assert two_face_pairs(recording, CONSTRUCTION, values).rms == pytest.approx(0.0, abs=1e-10)
-    assert two_face_pairs(recording, ideal_construction()).rms == pytest.approx(raw.rms)
+    assert two_face_pairs(recording, CONSTRUCTION, values).rms_half_differences == pytest.approx(0.0, abs=1e-10)
+    assert two_face_pairs(recording, ideal_construction()).rms_half_differences == pytest.approx(
+        raw.rms_half_differences
+    )

@@ -21,7 +21,7 @@ from ltsim.calibration.prior_conflict import log_odds_of_changed_constants
 from ltsim.core.errors import ModelError
 from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE, PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Prior, Station
 from tests.families import family
@@ -137,7 +137,7 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
     assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
-    motion = rigid_motion_design(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
+    motion = rigid_motion_jacobian(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
     assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
 
 
@@ -232,13 +232,13 @@ def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustm
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.adjust(recording)
     assert found.verdict is not None
-    assert "moves during its measurement" not in found.verdict.sentence
+    assert "moves during its occupation" not in found.verdict.sentence
     rows = recording.station == 2
     share = (recording.time[rows] - recording.time[rows].min()) / np.ptp(recording.time[rows])
     readings, sunk = recording.readings.copy(), from_polar(recording.readings[rows])
     readings[rows] = to_polar(sunk + share[:, None] * [0.0, 0.0, 2e-3])
     moved = lt.adjust(recording.with_readings(readings))
     assert moved.verdict is not None
-    size = re.match(r"Station S3 moves during its measurement, by (\S+) \+- 5", moved.verdict.sentence)
+    size = re.match(r"Station S3 moves during its occupation, by (\S+) \+- 5", moved.verdict.sentence)
     assert size is not None
     assert float(size[1]) == pytest.approx(2000.0, abs=25.0)  # errors of the instrument among them

@@ -66,8 +66,8 @@ def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: P
         whole = read(file, hints=Hints(azimuth="clockwise"))
         found = calibrate_network(whole.select(whole.station == 0), recommend_measurements=False)
         other = whole.select(whole.station == 1)
-        left = two_face_pairs(other, found.construction, found.applied_values[0]).rms
-        removed.append(1.0 - left / two_face_pairs(other).rms)
+        left = two_face_pairs(other, found.construction, found.applied_values[0]).rms_half_differences
+        removed.append(1.0 - left / two_face_pairs(other).rms_half_differences)
     across, elevation = np.median(removed, axis=0)[1:]
     assert across > 0.813
     assert elevation > 0.62

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
+from ltsim.adjustment.evaluation.clouds import measured_points, rms_point_error
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_matrix, point_noise_rms
@@ -114,7 +114,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     seen = []
     for seed in range(6):
         recording, truth = network(seed=seed)
-        seen.append(cloud_error(recording, measured_points(recording), truth.state.target_points))
+        seen.append(rms_point_error(recording, measured_points(recording), truth.state.target_points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
     stated = point_noise_rms(recording, recording.reading_sigmas())

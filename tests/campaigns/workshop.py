@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -63,6 +63,6 @@ def workshop(*, faces: int = 1, gauge: bool = True) -> tuple[Recording, NetworkS
         face=face.astype(np.int64),
         repeat=np.ones(len(station), dtype=np.int64),
         time=30.0 * np.arange(len(station)),
-        readings=to_face(to_polar(local), face),
+        readings=swap_front_and_raw(to_polar(local), face),
     )
     return recording, NetworkState(position, rotation, points, np.zeros((1, 16)))

@@ -19,7 +19,7 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import random_stream
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validate_setup
 
@@ -209,7 +209,7 @@ def network(seed: int) -> tuple[str, Recording]:
     faces = int(rng.integers(1, 3))
     station, target = np.tile(station, faces), np.tile(target, faces)
     face = np.repeat(np.arange(1, faces + 1), len(readings))
-    readings = to_face(np.tile(readings, (faces, 1)), face)
+    readings = swap_front_and_raw(np.tile(readings, (faces, 1)), face)
     noise = NOISES[int(rng.integers(len(NOISES)))]
     readings += noise * rng.standard_normal(readings.shape)
     readings[:, 0] = np.clip(np.abs(readings[:, 0]), 1e-6, 1e6)

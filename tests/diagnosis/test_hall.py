@@ -112,7 +112,7 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     best = bank.ranked_noise_hypotheses(heavy, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
     assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
-    fitted = with_estimated_sizes(replace(space, whitened_residuals=heavy), space.sigma, best)
+    fitted = with_estimated_sizes(replace(space, whitened_residuals=heavy), space.reading_sigmas, best)
     added = np.array(fitted.sizes)[np.nonzero(space.is_used_reading)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)
     assert added[is_worse].min() > 1.0

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.geometry.polar import to_face
+from ltsim.geometry.polar import swap_front_and_raw
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 
@@ -30,7 +30,7 @@ def one_station(repeats: int) -> Recording:
         face=face,
         repeat=repeat,
         time=np.arange(float(count)),
-        readings=to_face(np.stack(ranges, axis=1)[target], face),
+        readings=swap_front_and_raw(np.stack(ranges, axis=1)[target], face),
         setup=Setup(),
     )
     return recording.with_readings(recording.readings + recording.reading_sigmas() * rng.standard_normal((count, 3)))

@@ -68,8 +68,10 @@ def test_every_variance_function_is_linear_in_its_size(repeated):
     space, _, bank = repeated
     for h in bank.hypotheses[::97]:
         if isinstance(h.effect, VarianceFunction):
-            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.sizes[0]))
-            expected = space.sigma**2 + h.sizes[0] * (unit - space.sigma**2)
+            unit, sized = (
+                h.effect.variance(space.sightings, space.reading_sigmas, np.array([v])) for v in (1.0, h.sizes[0])
+            )
+            expected = space.reading_sigmas**2 + h.sizes[0] * (unit - space.reading_sigmas**2)
             np.testing.assert_allclose(sized, expected, rtol=1e-12)
 
 
@@ -89,7 +91,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.whitened_residuals + space.project(change)[:, 0]
     best = bank.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
-    at = best.variance(space.sightings, space.sigma, best.plausible_sizes) > space.sigma**2
+    at = best.variance(space.sightings, space.reading_sigmas, best.plausible_sizes) > space.reading_sigmas**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
 
@@ -134,13 +136,13 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     space, _, bank = repeated
     effect, used = Turbulence(), space.is_used_reading
     between = np.sqrt(np.prod([sizes[0] for sizes in effect.candidate_parameter_values()[2:4]]))
-    true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
+    true = effect.variance(space.sightings, space.reading_sigmas, np.array([between, 0.0])) / space.reading_sigmas**2
     residual = space.whitened_residuals.copy()
     residual[: int(used.sum())] *= np.sqrt(true[used])
 
     def gained(k, log_size):
         sizes = np.exp(log_size) * np.eye(2)[k]
-        factor = (effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)[used]
+        factor = (effect.variance(space.sightings, space.reading_sigmas, sizes) / space.reading_sigmas**2)[used]
         squares, share = residual[: len(factor)] ** 2, space.redundancy[: len(factor)]
         return 0.5 * np.sum(squares * (1.0 - 1.0 / factor) - share * np.log(factor))
 
@@ -290,7 +292,7 @@ def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_
     unchecked = replace(
         space, projector=projector, whitened_residuals=np.where(is_first, 0.0, space.whitened_residuals)
     )
-    found = with_estimated_sizes(unchecked, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
+    found = with_estimated_sizes(unchecked, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
     assert np.isfinite(found.sizes).all() and np.isfinite(found.chi2_drop)
 
 
@@ -305,7 +307,7 @@ def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence
     occam_factors = []
     for residual in (factors * space.whitened_residuals, space.whitened_residuals):
         case = replace(space, whitened_residuals=residual)
-        found = with_estimated_sizes(case, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
+        found = with_estimated_sizes(case, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
         evidence = mixture.log_evidence(residual[:, None], space.redundancy)[0]
         assert 0.5 * found.chi2_drop + found.log_occam_factor == pytest.approx(evidence, abs=1e-6)
         occam_factors.append(found.log_occam_factor)

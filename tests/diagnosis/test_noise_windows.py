@@ -67,7 +67,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     best = most_probable(space, residual)
     assert best.family_name == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
-    fitted = with_estimated_sizes(replace(space, whitened_residuals=residual), space.sigma, best)
+    fitted = with_estimated_sizes(replace(space, whitened_residuals=residual), space.reading_sigmas, best)
     assert 4.0 < np.sqrt(1.0 + fitted.sizes[0]) < 5.5
 
 
@@ -118,8 +118,10 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
         case = replace(space, whitened_residuals=residual)
         windows = NoiseWindows.from_residual_space(case)[0]
         likeliest = windows.most_likely_effect(residual, space.redundancy)
-        sizes = with_estimated_sizes(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
-        single = (likeliest.variance(space.sightings, space.sigma, np.array(sizes)) / space.sigma**2)[used]
+        sizes = with_estimated_sizes(case, space.reading_sigmas, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
+        single = (likeliest.variance(space.sightings, space.reading_sigmas, np.array(sizes)) / space.reading_sigmas**2)[
+            used
+        ]
         mean = windows.expected_variance_factors(residual, space.redundancy)[: len(single)]
         losses.append([np.sum(truth[used] / f - 1.0 - np.log(truth[used] / f)) for f in (single, mean)])
     single, mean = np.mean(losses, axis=0)

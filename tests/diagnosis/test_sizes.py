@@ -85,7 +85,7 @@ def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
 
 @pytest.mark.long
 def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", 0)
+    monkeypatch.setattr("ltsim.solve.projection.MAX_DESIGN_ENTRIES_FOR_BASIS", 0)
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     recording, target = knocked(26)
     found = diagnose(recording, seed=1)

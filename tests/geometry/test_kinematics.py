@@ -19,7 +19,7 @@ from ltsim.geometry.kinematics import (
     points_and_error_derivatives,
     points_from_raw_readings,
 )
-from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.polar import from_polar, swap_front_and_raw
 
 CHAINS = {"misalignment": MISALIGNMENT_CHAIN, "dh": DH_CHAIN}
 QUARTER = np.pi / 2
@@ -33,7 +33,7 @@ def error_keys_of(chain: KinematicChain) -> list[str]:
 def readings(seed: int, count: int = 8) -> Floats:
     rng = random_stream(seed, "readings")
     polar = rng.uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (count, 3))
-    return to_face(polar, rng.integers(1, 3, count))
+    return swap_front_and_raw(polar, rng.integers(1, 3, count))
 
 
 def errors(chain: KinematicChain, seed: int, count: int = 8, size: float = 1e-2) -> dict[str, Floats]:
@@ -131,7 +131,7 @@ def test_derivatives_by_every_error(name: str, seed: int) -> None:
 def test_an_error_used_twice_adds_up() -> None:
     chain: tuple[ElementaryMotion, ...] = (RotationStep(2, "twice"), *MISALIGNMENT_CHAIN, RotationStep(2, "nothing"))
     doubled = tuple(
-        RotationStep(2, "twice", m.nominal_amount_function) if m.error_key == "azimuth" else m for m in chain
+        RotationStep(2, "twice", m.motion_amount_function) if m.error_key == "azimuth" else m for m in chain
     )
     raw = readings(3)
     _, by_key = points_and_error_derivatives(doubled, raw, {}, {"twice"})

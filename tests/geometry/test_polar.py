@@ -4,7 +4,14 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
+from ltsim.geometry.polar import (
+    beam_frame_axes,
+    from_polar,
+    polar_jacobian,
+    swap_front_and_raw,
+    to_polar,
+    wrap_angle,
+)
 
 pointings = st.tuples(st.floats(0.5, 40), st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.sampled_from([1, 2]))
 many = st.lists(pointings, min_size=1, max_size=6)
@@ -24,13 +31,13 @@ def test_polar_and_cartesian_are_inverse(rows: list[tuple[float, float, float, i
 @given(many)
 def test_both_faces_see_the_same_point(rows: list[tuple[float, float, float, int]]) -> None:
     polar, face = split(rows)
-    raw = to_face(polar, face)
+    raw = swap_front_and_raw(polar, face)
     np.testing.assert_allclose(from_polar(raw), from_polar(polar), atol=1e-12)
-    np.testing.assert_allclose(to_face(raw, face), polar, atol=1e-13)
+    np.testing.assert_allclose(swap_front_and_raw(raw, face), polar, atol=1e-13)
 
 
 def test_the_back_face_turns_half_round_and_over() -> None:
-    raw = to_face(np.array([[5.0, 0.5, 0.2]]), np.array([2]))
+    raw = swap_front_and_raw(np.array([[5.0, 0.5, 0.2]]), np.array([2]))
     np.testing.assert_allclose(raw, [[5.0, 0.5 - np.pi, np.pi - 0.2]])
 
 
@@ -51,7 +58,7 @@ def test_wrap_keeps_the_direction(angle: float) -> None:
 @given(many)
 def test_beam_left_up_are_a_right_handed_frame(rows: list[tuple[float, float, float, int]]) -> None:
     polar, _ = split(rows)
-    beam, left, up = unit_vectors(polar[:, 1], polar[:, 2])
+    beam, left, up = beam_frame_axes(polar[:, 1], polar[:, 2])
     np.testing.assert_allclose(beam * polar[:, :1], from_polar(polar), atol=1e-12)
     np.testing.assert_allclose(np.cross(beam, left), up, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(left, axis=1), 1.0, atol=1e-14)
@@ -64,7 +71,7 @@ def test_derivative_of_the_readings_by_the_point(rows: list[tuple[float, float, 
     numeric = np.empty((len(polar), 3, 3))
     for axis in range(3):
         move = step[:, None] * np.eye(3)[axis]
-        change = to_face(to_polar(points + move), face) - to_face(to_polar(points - move), face)
+        change = swap_front_and_raw(to_polar(points + move), face) - swap_front_and_raw(to_polar(points - move), face)
         change[:, 1] = wrap_angle(change[:, 1])
         numeric[:, :, axis] = change / (2 * step[:, None])
     analytic = polar_jacobian(polar, face)

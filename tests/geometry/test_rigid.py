@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import random_stream
-from ltsim.geometry.rigid import determines_pose, matrix_from_rotation_vector, rigid_motion_design
+from ltsim.geometry.rigid import determines_pose, matrix_from_rotation_vector, rigid_motion_jacobian
 
 
 def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:
@@ -12,9 +12,9 @@ def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:
     points, centre, shift = rng.normal(0, 5, (7, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
     turn = 1e-6 * rng.standard_normal(3)
     moved = (points - centre) @ matrix_from_rotation_vector(turn).T + centre + shift
-    predicted = (rigid_motion_design(points, centre) @ np.r_[shift, turn]).reshape(-1, 3)
+    predicted = (rigid_motion_jacobian(points, centre) @ np.r_[shift, turn]).reshape(-1, 3)
     assert moved - points == pytest.approx(predicted, abs=1e-10)
-    assert rigid_motion_design(points) == pytest.approx(rigid_motion_design(points + centre, centre))
+    assert rigid_motion_jacobian(points) == pytest.approx(rigid_motion_jacobian(points + centre, centre))
 
 
 POINTS = np.array([[0, 0, 0], [0, 0, 2], [0, 0, 5], [3, 0, 1], [1e-9, 0, 3], [0.01, 0, 4]], dtype=float) + 1e3

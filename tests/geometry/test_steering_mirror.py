@@ -8,7 +8,7 @@ import pytest
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
-from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.polar import from_polar, swap_front_and_raw
 from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.model.construction import declared_construction, make_construction, steering_mirror_construction
 from ltsim.recordings.setup import Instrument
@@ -62,7 +62,7 @@ def test_the_chain_is_a_ray_reflected_at_a_plane() -> None:
 
 def test_an_ideal_mirror_reads_range_azimuth_and_elevation() -> None:
     polar = np.random.default_rng(5).uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (8, 3))
-    raw = to_face(polar, np.array([1, 2] * 4))
+    raw = swap_front_and_raw(polar, np.array([1, 2] * 4))
     np.testing.assert_allclose(
         MIRROR.points_from_readings(raw, np.zeros(MIRROR.n_parameters)), from_polar(polar), atol=1e-13
     )
@@ -111,7 +111,7 @@ def test_two_faces_tell_what_turns_with_the_head() -> None:
     polar = np.array([[4.0, 0.7, 0.4]])
     for name, same in (("beam-tilt-x", True), ("beam-y", True), ("mirror-tilt", True), ("transit-tilt", False)):
         stated = values(**{name.replace("-", "_"): 1e-5})
-        front, back = (MIRROR.points_from_readings(to_face(polar, np.array([f])), stated) for f in (1, 2))
+        front, back = (MIRROR.points_from_readings(swap_front_and_raw(polar, np.array([f])), stated) for f in (1, 2))
         assert (np.abs(front - back).max() < 1e-9) == same, name
 
 

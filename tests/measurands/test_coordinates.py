@@ -14,7 +14,7 @@ from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.core.randomness import random_stream
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_coordinates
 from ltsim.recordings.coordinates import EpochCoordinates, read_coordinates
@@ -88,7 +88,7 @@ def network(axes: str, seed: int, shift: Floats | None = None, *, turned: bool =
     points = np.zeros((10, 3))
     points[:, along] = rng.uniform(0, 10, (10, 3))[:, along]
     raw = rng.normal(size=(10 * len(along),) * 2) * 1e-4
-    free = rigid_motion_design(points).reshape(10, 3, 6)[:, along].reshape(-1, 6)
+    free = rigid_motion_jacobian(points).reshape(10, 3, 6)[:, along].reshape(-1, 6)
     basis = scipy.linalg.orth(free[:, np.linalg.norm(free, axis=0) > 0])
     project = np.eye(len(raw)) - basis @ basis.T
     covariance = project @ (raw @ raw.T / len(raw) + 1e-9 * np.eye(len(raw))) @ project
@@ -141,7 +141,7 @@ def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
 def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
     """Constraints on three of ten points: the covariance has its rank defect elsewhere."""
     whole = network("xyz", 0)
-    motions = rigid_motion_design(whole.points)
+    motions = rigid_motion_jacobian(whole.points)
     hold = np.zeros((30, 30))
     hold[:9, :9] = np.eye(9)
     project = np.eye(30) - motions @ np.linalg.solve(motions.T @ hold @ motions, motions.T @ hold)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust_from_state
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.air import (
     air_point_sigma_across_beam,
     air_point_sigma_along_beam,
@@ -40,7 +40,7 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
             adjust_from_state(read, built, start_state=made.nominal_state(built)).state.target_points
             - made.target_points
         ).ravel()
-        motion = rigid_motion_design(made.target_points)
+        motion = rigid_motion_jacobian(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))
     expected = np.einsum("cti,ctj->tij", np.array(moved), np.array(moved))
     assert added == pytest.approx(expected, rel=1e-4, abs=1e-4 * expected.max())

@@ -165,7 +165,7 @@ def masks() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("case", masks())
 def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
     made, visible = survey(), masks()[case]
-    with pytest.raises(NetworkError, match="S3 sees fewer than three" if visible[2].sum() < 5 else "share more"):
+    with pytest.raises(NetworkError, match="S3 measures fewer than three" if visible[2].sum() < 5 else "share more"):
         ExpectedPrecision.from_survey(made.replace(is_visible=visible))
     reducer = LayoutScorer(made)
     out = reducer.evaluate_layouts(
@@ -225,7 +225,7 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2
             )
             size = mean_detectable_size(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
-            assert size == pytest.approx(visible.minimal_sizes[0][0], rel=1e-6)
+            assert size == pytest.approx(visible.minimal_detectable_sizes[0][0], rel=1e-6)
 
 
 def test_fixed_nests_have_the_reflectors_error_in_both() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup
@@ -35,7 +35,7 @@ def workshop(*, faces: int = 2, turn: np.ndarray | None = None) -> Recording:
         polar = to_polar((POINTS - position) @ rotation)
         for t in range(len(POINTS)):
             for face in range(1, faces + 1):
-                raw = to_face(polar[t : t + 1], np.array([face]))[0]
+                raw = swap_front_and_raw(polar[t : t + 1], np.array([face]))[0]
                 rows.append((s, t, face, *raw))
     table = np.array(rows)
     length = float(np.linalg.norm(POINTS[1] - POINTS[0])) * 1e3

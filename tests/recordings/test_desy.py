@@ -41,6 +41,6 @@ def test_parameters_of_one_set_up_reduce_the_two_face_differences_of_the_other(t
     other = text.select(text.station != number)
     before = two_face_pairs(other)
     after = two_face_pairs(correct(other, read_calibration(tmp_path)))
-    share = 1.0 - after.median_absolute / before.median_absolute
+    share = 1.0 - after.median_absolute_half_differences / before.median_absolute_half_differences
     assert share[1] > 0.2
     assert share[2] > 0.7

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltsim.core.errors import RecordError
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.recordings import Hints, read
 from ltsim.recordings.formats import spatialanalyzer
 from tests.recordings.samples import POINTS, outcome, shared
@@ -42,7 +42,7 @@ def report(path: Path, *, poses: bool = True, clockwise: bool = True, stations: 
         lines += ['"Observations', f'{name}";;;;;;;;;;;', HEADING]
         for t in range(len(POINTS)):
             for face in (1, 2):
-                raw = to_face(polar[t : t + 1], np.array([face]))[0]
+                raw = swap_front_and_raw(polar[t : t + 1], np.array([face]))[0]
                 hz = (-raw[1] if clockwise else raw[1]) % (2 * np.pi) * 200 / np.pi
                 v = (np.pi / 2 - raw[2]) % (2 * np.pi) * 200 / np.pi
                 numbers = ";".join(comma(x) for x in (hz, v, raw[0] * 1e3))

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import TerminationStatus, solve
 
 
@@ -27,7 +27,7 @@ def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSyste
 @pytest.mark.parametrize("seed", range(3))
 def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     system, dense = random_system(seed)
-    factor = BlockFactor(replace(system, design=kind(dense)))
+    factor = FactorisedNormals(replace(system, design=kind(dense)))
     scale = 1 / np.linalg.norm(dense, axis=0)
     inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
     np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.whitened_residuals, rtol=1e-8)
@@ -48,7 +48,7 @@ def test_undetermined_unknowns_are_refused_whatever_their_unit(kind):
     for unit in (1e-9, 1.0, 1e9):
         dense[:, 0] = unit * dense[:, 1]
         with pytest.raises(SingularSystemError):
-            BlockFactor(BlockSystem(kind(dense), system.whitened_residuals, 7))
+            FactorisedNormals(BlockSystem(kind(dense), system.whitened_residuals, 7))
 
 
 class Valley:
@@ -107,7 +107,7 @@ def test_a_next_step_that_would_be_nothing_is_not_looked_at():
     solution = solve(problem, np.zeros(2))
     assert (solution.status, solution.n_iterations, problem.looks) == (TerminationStatus.CONVERGED, 2, 0)
     there = problem.linearise(solution.x)
-    assert np.linalg.norm(there.design @ BlockFactor(there).step()) < 1e-6
+    assert np.linalg.norm(there.design @ FactorisedNormals(there).step()) < 1e-6
     np.testing.assert_allclose(solution.system.whitened_residuals, there.whitened_residuals, atol=1e-6)
     assert solution.sum_of_squares == pytest.approx(there.sum_of_squares, rel=1e-9)
 

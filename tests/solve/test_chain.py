@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
-from ltsim.solve.chain import MAX_SINGLE_BLOCK_COLUMNS, BlockChainFactor, arrange_as_chain
+from ltsim.solve.chain import MAX_SINGLE_BLOCK_COLUMNS, BlockChainFactor, chain_order_and_block_limits
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -83,7 +83,7 @@ def test_the_order_of_a_shuffled_band_is_narrow_again():
     size = 1000
     band = sp.diags_array([np.ones(size - abs(k)) for k in range(-4, 5)], offsets=range(-4, 5)).tocsr()
     shuffle = rng.permutation(size)
-    order, edges = arrange_as_chain(sp.csr_array(band[shuffle][:, shuffle]))
+    order, edges = chain_order_and_block_limits(sp.csr_array(band[shuffle][:, shuffle]))
     assert len(edges) > 15
     assert sorted(order.tolist()) == list(range(size))
 

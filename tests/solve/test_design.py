@@ -23,7 +23,7 @@ def test_a_pattern_puts_values_where_they_belong(monkeypatch: pytest.MonkeyPatch
         np.add.at(expected, (row, kind.ravel()), value.ravel())
     pattern = SparsityPattern(columns, 9)
     for factor in (1.0, 2.0):
-        made = pattern.fill([factor * value for value in values])
+        made = pattern.make_design_matrix([factor * value for value in values])
         assert isinstance(made, sp.csr_array if limit == 0 else np.ndarray)
         np.testing.assert_allclose(to_dense(made), factor * expected)
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
-from ltsim.solve.elimination import BlockFactor, BlockSystem
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals
 from ltsim.solve.projection import BasisResidualProjector, FactorResidualProjector, make_residual_projector
 
 KEPT, BLOCKS, ROWS = 320, 130, 2600
@@ -30,7 +30,7 @@ def chained(seed: int = 1) -> BlockSystem:
 SYSTEM = chained()
 ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
 BASIS = BasisResidualProjector.from_design(SYSTEM.design)
-SPARSE = FactorResidualProjector.from_design(SYSTEM.design, BlockFactor(SYSTEM))
+SPARSE = FactorResidualProjector.from_design(SYSTEM.design, FactorisedNormals(SYSTEM))
 EXTRA = np.linalg.qr(BASIS.project(random_stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
 PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
 PAIRS += [(p.with_removed_columns(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
@@ -91,10 +91,10 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
 
 def test_a_small_system_or_one_without_factor_gets_a_basis(monkeypatch):
     assert isinstance(make_residual_projector(SYSTEM, None), BasisResidualProjector)
-    monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", int(np.prod(SYSTEM.design.shape)))
+    monkeypatch.setattr("ltsim.solve.projection.MAX_DESIGN_ENTRIES_FOR_BASIS", int(np.prod(SYSTEM.design.shape)))
     small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_retained)
-    assert isinstance(make_residual_projector(small, BlockFactor(small)), BasisResidualProjector)
+    assert isinstance(make_residual_projector(small, FactorisedNormals(small)), BasisResidualProjector)
     tall = BlockSystem(
         sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.whitened_residuals, 3), SYSTEM.n_retained
     )
-    assert isinstance(make_residual_projector(tall, BlockFactor(tall)), FactorResidualProjector)
+    assert isinstance(make_residual_projector(tall, FactorisedNormals(tall)), FactorResidualProjector)

@@ -8,14 +8,14 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
 from ltsim.solve.design import (
+    DESIGN_RANK_TOLERANCE,
     MIN_RELIABLE_PIVOT,
     NORMAL_RANK_TOLERANCE,
-    RANK_TOLERANCE,
     DesignMatrix,
     cholesky_where_determined,
     scale_to_unit_diagonal,
 )
-from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSystemError
 
 
 def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
@@ -27,7 +27,12 @@ def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
     return np.hstack([basis[:, :-1], last[:, None] / np.linalg.norm(last)])
 
 
-CASES = ((100 * RANK_TOLERANCE, True), (3 * RANK_TOLERANCE, True), (RANK_TOLERANCE / 3, False), (0.0, False))
+CASES = (
+    (100 * DESIGN_RANK_TOLERANCE, True),
+    (3 * DESIGN_RANK_TOLERANCE, True),
+    (DESIGN_RANK_TOLERANCE / 3, False),
+    (0.0, False),
+)
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
@@ -40,16 +45,23 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
     design = nearly_dependent(size, image) * 10.0 ** random_stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
-        assert BlockFactor(system).smallest_pivot < MIN_RELIABLE_PIVOT
+        assert FactorisedNormals(system).smallest_pivot < MIN_RELIABLE_PIVOT
     else:
         with pytest.raises(SingularSystemError):
-            BlockFactor(system)
-    BlockFactor(system, damping=1e-9)
+            FactorisedNormals(system)
+    FactorisedNormals(system, damping=1e-9)
 
 
 def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:
     images = np.array(
-        [1.0, 100 * NORMAL_RANK_TOLERANCE, 3 * NORMAL_RANK_TOLERANCE, NORMAL_RANK_TOLERANCE / 3, RANK_TOLERANCE, 0.0]
+        [
+            1.0,
+            100 * NORMAL_RANK_TOLERANCE,
+            3 * NORMAL_RANK_TOLERANCE,
+            NORMAL_RANK_TOLERANCE / 3,
+            DESIGN_RANK_TOLERANCE,
+            0.0,
+        ]
     )
     designs = [nearly_dependent(40, image) for image in images]
     normal = np.stack([d.T @ d for d in designs])

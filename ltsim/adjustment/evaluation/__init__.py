@@ -1,4 +1,4 @@
-"""Quality of a recording before and after calibration: agreement of its stations, and errors at nominal points."""
+"""Quality of a recording before and after a calibration: agreement of its stations, and errors at nominal points."""
 
 from ltsim.adjustment.evaluation.criteria import (
     Criteria as Criteria,

@@ -1,9 +1,10 @@
-"""Evaluation of a reflector's bench test: range error as a function of the incidence angle.
+"""Evaluation of the bench test of a reflector (SMR): range error as a function of the incidence angle.
 
 The reflector is rotated on a roundness table (rotary table), an interferometer measures the length to the reflector,
-and a probe measures the eccentricity of its sphere. A rotation by alpha of a sphere with the eccentricity c changes the
-length by -(c_x cos alpha - c_y sin alpha). This change is removed. An interferometer only records changes: the range
-error is determined relative to its value at 0 deg. The range offset of a tracker contains this value.
+and a probe measures the eccentricity of its sphere on the table. A rotation by alpha of a sphere with the eccentricity
+c changes the length by -(c_x cos alpha - c_y sin alpha). This change is removed. An interferometer records only changes
+of length, so that the range error is determined relative to its value at 0 deg. This value is part of the range offset
+of a tracker.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
@@ -28,9 +29,10 @@ from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
 MIN_BENCH_LENGTHS = 3
-"""Smallest number of lengths: they determine two coordinates of the mirrors' vertex and the zero of the lengths."""
+"""Smallest number of angles with lengths in a bench test: two coordinates of the mirrors' vertex, and the zero."""
 MIN_PROBE_READINGS = 4
-"""Smallest number of probe readings: two coordinates of the eccentricity, the zero, and one more for the scatter."""
+"""Smallest number of angles with probe readings in a bench test: two coordinates of the eccentricity, the zero, and one
+more for the scatter."""
 
 BENCH_TABLE = Table(
     "bench.csv",
@@ -45,12 +47,12 @@ BENCH_TABLE = Table(
 
 
 class EstimateEntry(Entry):
-    """Estimate and its standard deviation [um]."""
+    """Estimated length and its standard deviation [um]."""
 
     value_um: Finite
-    """Estimated value."""
+    """Estimated value [um]."""
     sigma_um: Finite
-    """Standard deviation of the estimated value."""
+    """Standard deviation [um] of the estimated value."""
 
     def __str__(self) -> str:
         return with_sigma(self.value_um, self.sigma_um, "um")
@@ -62,12 +64,12 @@ class BenchRow(Entry):
     angle_deg: Finite
     """Angle of the roundness table, equal to the angle of incidence."""
     uncorrected_length_um: Finite
-    """Measured length minus that at the angle nearest 0 deg, before the effect of the eccentricity of the sphere is
-    removed."""
+    """Measured length minus the length at the angle nearest 0 deg [um]; it contains the effect of the eccentricity of
+    the sphere."""
     error_um: Finite
-    """Range error of the reflector: measured minus true range."""
+    """Range error of the reflector [um]: measured minus true range."""
     sigma_um: Finite
-    """Standard deviation of the range error."""
+    """Standard deviation of the range error [um]."""
 
 
 ANGLES_TABLE = Table(
@@ -83,7 +85,7 @@ ANGLES_TABLE = Table(
 
 
 class BenchFile(ResultFile):
-    """Result of `bench`, with the content of `bench.json`."""
+    """Result of the bench test of a reflector, with the content of `bench.json`."""
 
     FILE: ClassVar[str] = "bench.json"
     format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
@@ -93,17 +95,17 @@ class BenchFile(ResultFile):
     eccentricity_side: EstimateEntry
     """Eccentricity of the sphere at 0 deg, component to the side."""
     run_out_um: Finite
-    """Difference of the largest and the smallest probe reading."""
+    """Difference of the largest and the smallest probe reading [um]."""
     range_errors: tuple[BenchRow, ...] = Field(alias="table")
     """Range error at each angle of incidence."""
     vertex_axial: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors, component out of the
-    open face."""
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component out of the
+    open side of the reflector."""
     vertex_side: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors, component to the
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component to the
     side."""
     unexplained_rms_um: Finite
-    """Rms range error that no offset of the vertex explains, caused by the optics."""
+    """Rms range error [um] that no offset of the vertex explains, caused by the optics."""
 
     def _lines(self) -> list[str]:
         worst_angle = max(self.range_errors, key=lambda row: abs(row.error_um))
@@ -133,7 +135,7 @@ class BenchFile(ResultFile):
 
 @dataclass(frozen=True)
 class ReflectorBenchReadings:
-    """Readings of a bench test in SI units."""
+    """Readings of the bench test of a reflector, in SI units."""
 
     table_angles_of_lengths: Floats
     """Angle of the roundness table for each length [rad]."""
@@ -151,7 +153,7 @@ class ReflectorBenchReadings:
 
 @dataclass(frozen=True)
 class ReflectorBenchEstimates:
-    """Estimates from a bench test in SI units, with range errors at k angles of incidence."""
+    """Estimates from the bench test of a reflector, in SI units, with range errors at k angles of incidence."""
 
     eccentricity: Floats
     """Eccentricity of the sphere at 0 deg, components forward and to the side, (2,) [m]."""
@@ -160,8 +162,8 @@ class ReflectorBenchEstimates:
     run_out: float
     """Difference of the largest and the smallest probe reading [m]."""
     uncorrected_lengths: Floats
-    """Length at each of k angles minus that at the angle nearest 0 deg, before removal of the eccentricity, (k,)
-    [m]."""
+    """Length at each of k angles minus the length at the angle nearest 0 deg, (k,) [m]; it contains the effect of the
+    eccentricity."""
     range_errors: Floats
     """Range error of the reflector at each of k angles, relative to its error at the angle nearest 0 deg, (k,) [m]."""
     range_error_sigmas: Floats
@@ -183,23 +185,24 @@ class VertexOffset(NamedTuple):
     """Rms range error [m] that no offset of the vertex explains, caused by the optics."""
 
 
-def eccentricity_design(angles: Floats) -> Floats:
+def eccentricity_design_matrix(angles: Floats) -> Floats:
     """Changes (k, 2) of the lengths at k `angles` (k,) [rad] per unit of the two components of the eccentricity.
 
-    The components are forward (towards the interferometer) and to the side.
+    The components are those at 0 deg: forward (towards the interferometer), and to the side.
     """
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
 def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: float) -> ReflectorBenchReadings:
-    """Bench readings from a CSV file with the columns ``angle_deg,length_um,probe_um``; RecordError for too few rows.
+    """Readings of a bench test from a CSV file with the columns ``angle_deg,length_um,probe_um``.
 
     `probe_direction` [rad] is the angle from the interferometer to the probe, counted against the rotation of the
-    roundness table; `length_sigma` [m] is the standard deviation of a length.
+    roundness table; `length_sigma` [m] is the standard deviation of a length. Raises RecordError for too few angles.
     """
     text = read_text(path)
     if text.count("\n") > MAX_RESULT_LIST_ENTRIES:  # the result has an entry for each row
-        raise RecordError(f"has more than {MAX_RESULT_LIST_ENTRIES} rows, the limit for reading; thin them", file=path)
+        message = f"has more rows than the limit of {MAX_RESULT_LIST_ENTRIES}; average or remove rows"
+        raise RecordError(message, file=path)
     angle, length, probe = BENCH_TABLE.parse_csv(text, path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
@@ -207,7 +210,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     for what, column, fewest in (("length_um", length, MIN_BENCH_LENGTHS), ("probe_um", probe, MIN_PROBE_READINGS)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
-            raise RecordError(f"has {what} at {different} angles, expected {fewest} or more", file=path)
+            raise RecordError(f"has values of {what} at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
     return ReflectorBenchReadings(
         table_angles_of_lengths=angle[measured] * DEGREE,
@@ -220,7 +223,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
 
 
 def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBenchEstimates:
-    """Estimates from the readings of a bench test: eccentricity of the sphere, and range error [m] at each angle.
+    """Estimates from the readings of a bench test: eccentricity of the sphere, and range error at each angle.
 
     The first harmonic of the probe readings is the eccentricity, and the scatter of the readings about this harmonic
     gives its uncertainty. The effect of the eccentricity on the lengths is removed.
@@ -234,8 +237,8 @@ def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBench
     middle_index = int(np.argmin(np.abs(readings.table_angles_of_lengths)))
     range_changes = readings.lengths - readings.lengths[middle_index]
     change = (
-        eccentricity_design(readings.table_angles_of_lengths)
-        - eccentricity_design(readings.table_angles_of_lengths)[middle_index]
+        eccentricity_design_matrix(readings.table_angles_of_lengths)
+        - eccentricity_design_matrix(readings.table_angles_of_lengths)[middle_index]
     )
     length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * readings.length_sigma**2)
     return ReflectorBenchEstimates(
@@ -249,11 +252,11 @@ def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBench
 
 
 def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> VertexOffset:
-    """Offset of the mirrors' vertex that explains the range errors (k,) [m] at k angles (k,) [rad] best.
+    """Offset of the mirrors' vertex from the sphere's centre that best explains range errors (k,) [m] at k `angles`.
 
-    `sigma` [m] is the standard deviation of one range error.
+    `angles` (k,) [rad] are angles of incidence, `sigma` [m] is the standard deviation of one range error.
     """
-    design = np.concatenate([np.ones((len(angles), 1)), eccentricity_design(angles)], axis=1)
+    design = np.concatenate([np.ones((len(angles), 1)), eccentricity_design_matrix(angles)], axis=1)
     estimate = np.linalg.lstsq(design, range_errors, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     rms_residual = float(np.sqrt(np.mean((range_errors - design @ estimate) ** 2)))
@@ -261,12 +264,12 @@ def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> Ver
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
-    """Range error of a reflector as a function of the incidence angle, from its test on a roundness table.
+    """Range error of a reflector as a function of the incidence angle, from its bench test on a roundness table.
 
     Parameters
     ----------
     source : str or Path
-        CSV file with the columns ``angle_deg,length_um,probe_um``; an empty cell means that the value was not read.
+        CSV file with the columns ``angle_deg,length_um,probe_um``; a cell is empty if its value was not read.
     probe_direction : float, [deg]
         Angle from the interferometer to the probe, counted against the rotation of the roundness table.
     length_sigma : float, [um]

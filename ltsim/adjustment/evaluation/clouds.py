@@ -1,8 +1,8 @@
-"""Points of each station in its instrument frame, alignment of stations to one frame, and errors of simulated points.
+"""Point clouds of stations in their instrument frames, alignment of the clouds, and errors of points in simulations.
 
-Errors are known in simulations only. A correction with the true instrument parameters removes one part of an error, the
-correctable part; the other part remains (noise, unmodelled effects). Let R, C and P be the mean squared errors over all
-trials of raw readings, of calibrated readings, and of readings corrected with the true parameters. A calibration
+In simulations the errors of points are known. A correction with the true instrument parameters removes the correctable
+part of an error; noise and unmodelled effects remain. Let R, C and P be the mean squared errors of points from raw
+readings, from calibrated readings, and from readings corrected with the true parameters, over all trials. A calibration
 removes the fraction (R - C) / (R - P) of the correctable error. The fraction is 1 for a calibration with the true
 parameters, 0 for a calibration without effect, and negative for a calibration that increases errors.
 """
@@ -22,10 +22,10 @@ from ltsim.recordings.recording import Recording
 def measured_points(
     recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> Floats:
-    """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
+    """Measured points (n, 3) [m] of n pointings in instrument frames; NaN for incomplete pointings.
 
-    The points are corrected by the parameters `parameter_values` of the error model `construction`, (parameters,) or
-    (pointings, parameters) [SI]; without it the points are not corrected.
+    They are corrected with the values of the p parameters of the error model `construction`, `parameter_values` (p,) or
+    (n, p) [SI]. Without a model or values the points are not corrected.
     """
     is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
@@ -40,9 +40,9 @@ def measured_points(
 
 
 def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools | None = None) -> Floats:
-    """Mean point of each target from each station, shape (stations, targets, 3) [m]; NaN for a target not measured.
+    """Mean points (S, T, 3) [m] of T targets measured from S stations; NaN if a station did not measure a target.
 
-    `points` (pointings, 3) are averaged over faces and repeats; `row_mask` selects pointings.
+    `points` (n, 3) [m] of n pointings are averaged over faces and repeats; `row_mask` (n,) selects pointings.
     """
     cloud_shape = (len(recording.stations), len(recording.targets))
     is_complete = np.isfinite(points).all(axis=1)
@@ -56,9 +56,10 @@ def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools |
 
 
 def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
-    """Points `cloud` (targets, 3) [m] of a station after the best rigid fit to `target_points`, over common targets.
+    """Points (T, 3) [m] of a station, `cloud`, after the best rigid fit to `target_points` (T, 3) [m].
 
-    NetworkError is raised unless at least three common targets are not on one line.
+    The fit uses the targets without NaN in either array. Raises NetworkError if fewer than three are common, or if they
+    lie on one line.
     """
     is_shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
     rotation, translation = align_rigidly(cloud[is_shared], target_points[is_shared])
@@ -66,10 +67,11 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
 
 
 def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
-    """Points `clouds` (stations, targets, 3) [m] of all stations after a rigid fit to the frame of the first station.
+    """Points (S, T, 3) [m] of T targets from S stations, after a rigid fit of each cloud to the first station.
 
-    A station with fewer than three targets in common with the first station is fitted to the mean points of the
-    stations fitted before. `names` are the stations. Raises NetworkError for a station that cannot be fitted.
+    `clouds` (S, T, 3) [m] are the points in instrument frames. A station with fewer than three targets in common with
+    the first station is fitted to the mean points of the stations fitted before. `names` are the names of the stations.
+    Raises NetworkError for a station that cannot be fitted.
     """
     placed_points = np.full_like(clouds, np.nan)
     placed_points[0] = clouds[0]
@@ -87,7 +89,7 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
         try:
             placed_points[station] = align_to_points(clouds[station], goal)
         except NetworkError as problem:
-            message = f"station {names[station]} cannot be joined to the others: {problem}"
+            message = f"station {names[station]} cannot be aligned to the other stations: {problem}"
             raise NetworkError(message) from None
         new = is_measured[station] & (count == 0)
         shared += is_measured[:, new].sum(axis=1)
@@ -98,7 +100,7 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """Rms distances [m] of points from the true points: uncorrected, calibrated, corrected with the true parameters."""
+    """Rms errors [m] of points in a simulation: uncorrected, calibrated, and corrected with the true parameters."""
 
     raw_rms: float
     """Rms error [m] of the uncorrected points."""
@@ -109,7 +111,11 @@ class CalibrationErrors:
 
     @property
     def removed_error_fraction(self) -> float:
-        """Removed fraction (R - C) / (R - P) of mean squared errors: R raw, C calibrated, P with true parameters."""
+        """Fraction (R - C) / (R - P) of the correctable mean squared error that the calibration removed.
+
+        R, C and P are the mean squared errors of raw points, calibrated points, and points corrected with the true
+        parameters.
+        """
         return removed_error_fraction(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
@@ -118,20 +124,20 @@ def removed_error_fraction(
 ) -> float:
     """Fraction of the correctable mean squared error that a calibration removed, over all trials together.
 
-    The arguments are the rms errors [m] of each trial: of raw readings, of calibrated readings, and of readings
-    corrected with the true parameters. The correctable error is the first mean square minus the third. The result is
-    NaN if this difference is not positive.
+    The arguments are rms errors [m] of points in each trial: uncorrected, calibrated, and corrected with the true
+    parameters. The correctable error is the mean square of the first minus that of the third. The result is NaN if this
+    difference is not positive.
     """
     squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameter_errors))
     before, after, perfect = squares
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 
 
-def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
-    """Rms distance [m] of points from the true points over stations and targets, after a rigid fit of each station.
+def rms_point_error(recording: Recording, points: Floats, true_points: Floats) -> float:
+    """Rms distance [m] of measured from true points, over stations and targets, after a rigid fit of each station.
 
-    `points` (pointings, 3) [m] are in instrument frames, `true_points` (targets, 3) [m] in the network frame. The fit
-    removes errors that a pose absorbs completely (azimuth index, height of the station).
+    `points` (n, 3) [m] of n pointings are in instrument frames, `true_points` (T, 3) [m] in the network frame. The fit
+    removes errors that a pose absorbs completely, such as errors of azimuth index or station height.
     """
     clouds = station_point_clouds(recording, points)
     gap = np.stack([align_to_points(cloud, true_points) - true_points for cloud in clouds])

@@ -1,14 +1,14 @@
 """Criteria of Sensors 2021, 21, 7479: disagreement of stations, and deviations from nominal points.
 
 Stations disagree in the distances between targets and in the coordinates of targets (sections 2.3.4 and 3.2.1). Eq. 11
-compares distances with the distances from station 1 (its missing absolute value is added here); section 3.2.1 and
-Table 3 compare them with their mean over the stations. Both are computed: `distance_to_first` with station 1,
-`distance` with the mean.
+compares distances with the distances measured by station 1 (its missing absolute value is added here); section 3.2.1
+and Table 3 compare distances with their mean over the stations. The fields `distance_to_first` and `distance` contain
+these two comparisons.
 
 The verification compares a calibrated tracker with nominal points from a coordinate measuring machine. Eq. 13 compares
 the distance between two targets, measured from one station, with the distance of the nominal points. Eq. 14 compares
-coordinates after a rigid fit of each station to the nominal points. Before calibration the readings are those of an
-ideal tracker.
+coordinates after a rigid fit of each station to the nominal points. Before calibration, points are computed from the
+readings without correction.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -39,10 +39,10 @@ from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, Resul
 
 @dataclass(frozen=True)
 class StationDisagreement(ValueEquality):
-    """Disagreement of the stations [m]: for distances one value per pair of targets, for coordinates one per target."""
+    """Disagreement of the stations in distances between targets (one value per pair of targets) or in coordinates."""
 
     disagreements: Floats
-    """Disagreement of each pair of targets or each target [m]."""
+    """Disagreements [m]: one value per pair of targets for distances, one value per target for coordinates."""
 
     @property
     def mean(self) -> float:
@@ -70,16 +70,16 @@ CRITERIA_TABLE = Table(
 
 
 class DisagreementEntry(Entry):
-    """Disagreement between stations [um]."""
+    """Mean and maximum disagreement of the stations [um], in distances between targets or in coordinates of targets."""
 
     mean_um: OptionalFloat = None
-    """Mean over the pairs of targets, or over the targets."""
+    """Mean disagreement [um] over the pairs of targets (distances), or over the targets (coordinates)."""
     max_um: OptionalFloat = None
-    """Maximum over the pairs of targets, or over the targets."""
+    """Largest disagreement [um] over the pairs of targets (distances), or over the targets (coordinates)."""
 
     @classmethod
     def from_differences(cls, differences: StationDisagreement) -> Self:
-        """Entry with the mean and maximum of the disagreement values `differences`."""
+        """Entry with the mean and maximum of the disagreements `differences`."""
         return cls(mean_um=differences.mean / MICROMETRE, max_um=differences.maximum / MICROMETRE)
 
 
@@ -95,7 +95,7 @@ class CriterionEntry(Entry):
 
     @classmethod
     def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
-        """Criterion from the disagreement before and (if available) after a calibration."""
+        """Entry from the disagreement of the stations before a calibration and, if available, after it."""
         if calibrated is None:
             return cls(before=DisagreementEntry.from_differences(uncalibrated))
         percent = None if uncalibrated.mean == 0 else 100.0 * (1.0 - calibrated.mean / uncalibrated.mean)
@@ -107,7 +107,7 @@ class CriterionEntry(Entry):
 
     @property
     def text(self) -> str:
-        """Mean disagreement [um] of the stations with each other before and after calibration, as text in one line."""
+        """Mean disagreement of the stations before and after calibration, as text in one line with the unit um."""
         if self.before.mean_um is None:
             return MISSING_TEXT
         before = f"{self.before.mean_um:.1f} um"
@@ -120,15 +120,15 @@ class CriteriaEntry(Entry):
     """Disagreement of the stations in distances and coordinates of targets, before and after calibration."""
 
     distance: CriterionEntry
-    """Deviations of distances between targets from their mean over the stations."""
+    """Disagreement of the stations in distances between targets, as deviations from the mean over the stations."""
     coordinate: CriterionEntry
-    """Deviations of coordinates between the stations after their rigid fit (Sensors 2021, 21, 7479, eq. 12)."""
+    """Disagreement of the stations in coordinates, after a rigid fit to one frame (Sensors 2021, 21, 7479, eq. 12)."""
     distance_to_first: CriterionEntry | None = None
-    """Deviations of distances from the distances measured by station 1 (Sensors 2021, 21, 7479, eq. 11); null in a
-    verification."""
+    """Disagreement of the other stations with station 1 in distances between targets (Sensors 2021, 21, 7479, eq. 11);
+    null in a verification."""
 
     def criteria_table(self) -> Table:
-        """Data table with the disagreement by each criterion in one row."""
+        """Data table with one row per criterion: disagreement of the stations before and after calibration."""
         criterion_by_name = {
             "distance": self.distance,
             "distance, compared with station 1": self.distance_to_first,
@@ -143,7 +143,7 @@ class CriteriaEntry(Entry):
 
 
 class Criteria(ResultFile, CriteriaEntry):
-    """Result of `evaluate` and `verify`, with the content of `criteria.json`."""
+    """Result of the commands `evaluate` and `verify`, with the content of `criteria.json`."""
 
     FILE: ClassVar[str] = "criteria.json"
     format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
@@ -151,7 +151,7 @@ class Criteria(ResultFile, CriteriaEntry):
 
     @classmethod
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
-        """Result for a recording with the given criteria."""
+        """Result file for a recording, from the disagreements of its stations, `criteria`."""
         value_by_field = {name: getattr(criteria, name) for name in criteria.model_fields_set}
         return cls(**value_by_field, recording=ResultSource.from_recording(recording))
 
@@ -163,11 +163,10 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over targets: indices of the stations that measured it, and its distances [m] to the following targets.
+    """Indices (s,) of the s stations that measured a target, and distances (s, f) [m] to following targets, per target.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
-    shape (stations that measured the target, following targets). Pairs measured from fewer than `min_observers`
-    stations are left out, so that the memory depends only on measured pairs.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured. Pairs of targets measured
+    from fewer than `min_observers` stations are left out, so that the memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -176,11 +175,11 @@ def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Itera
         yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
-def distance_differences(clouds: Floats) -> StationDisagreement:
-    """Mean absolute deviation of each distance between two targets from its mean over the stations.
+def distance_disagreement(clouds: Floats) -> StationDisagreement:
+    """Disagreement in distances: mean absolute deviation of each distance of two targets from its mean over stations.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
-    Pairs of targets measured from only one station are left out.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations in instrument frames, NaN if not measured. Pairs
+    of targets measured from only one station are left out.
     Source: Sensors 2021, 21, 7479, section 3.2.1.
     """
     lengths = (length for _, length in iterate_distances_by_target(clouds, 2))
@@ -188,10 +187,10 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
-def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
-    """Mean absolute difference of each distance between two targets from the distance measured by station 1.
+def distance_disagreement_with_first_station(clouds: Floats) -> StationDisagreement:
+    """Disagreement in distances: mean absolute difference of each distance of two targets from that of station 1.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations in instrument frames, NaN if not measured.
     Source: Sensors 2021, 21, 7479, eq. 11.
     """
     lengths = (length for _, length in iterate_distances_by_target(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
@@ -199,10 +198,10 @@ def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
-def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
-    """Distance between two stations' positions of the same target, mean over all pairs of stations.
+def coordinate_disagreement(aligned_clouds: Floats) -> StationDisagreement:
+    """Disagreement in coordinates: distance of the points of a target from two stations, mean over station pairs.
 
-    `aligned_clouds` (stations, targets, 3) [m] are the points of all stations in one frame, NaN if not measured.
+    `aligned_clouds` (S, T, 3) [m] are the points of T targets from S stations in one frame, NaN if not measured.
     Source: Sensors 2021, 21, 7479, eq. 12.
     """
     total, count = np.zeros(aligned_clouds.shape[1]), np.zeros(aligned_clouds.shape[1])
@@ -223,18 +222,18 @@ def evaluate_criteria(
 ) -> CriteriaEntry:
     """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
-    The correction uses the p `parameter_values` of the error model `construction`, (p,) or for each of n pointings
-    (n, p) [SI], and subtracts `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects. `row_mask` (n,)
-    selects pointings; faces and repeats are averaged by station and target. Raises NetworkError if fewer than two
-    stations have common targets, if the network is too large for a comparison of all stations, and if SMRs have several
-    radii.
+    The correction uses the p `parameter_values` [SI] of the error model `construction`, (p,) or for each of n pointings
+    (n, p). Before, `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects, are subtracted from the
+    readings. `row_mask` (n,) selects pointings; faces and repeats are averaged by station and target. Raises
+    NetworkError if no two stations have common targets, if the network is too large for a comparison of all stations,
+    and if SMRs have several radii.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
-            f"the criteria are not computed for as many as {stations} stations with {targets} targets: "
-            "evaluate parts of the network"
+            f"the network is too large for the criteria ({stations} stations, {targets} targets): "
+            "evaluate parts of it separately"
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
     corrected_clouds = None
@@ -259,26 +258,26 @@ def evaluate_criteria(
         )
 
     return CriteriaEntry(
-        distance=compare(distance_differences, is_aligned=False),
-        coordinate=compare(coordinate_differences, is_aligned=True),
+        distance=compare(distance_disagreement, is_aligned=False),
+        coordinate=compare(coordinate_disagreement, is_aligned=True),
         **_distance_to_first_criterion(raw_clouds, corrected_clouds),
     )
 
 
 def _subtract_reading_changes(recording: Recording, reading_changes: Floats | None) -> Recording:
-    """Recording from whose readings the changes `reading_changes` (pointings, 3) [m, rad, rad] are subtracted."""
+    """Recording from whose readings `reading_changes` (n, 3) [m, rad, rad] of n pointings are subtracted."""
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
 def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
-    """Comparison of distances with station 1, by its field of `CriteriaEntry`; empty if no distance is comparable.
+    """Entry `distance_to_first` of `CriteriaEntry` as a dictionary; empty if no distance of station 1 is comparable.
 
-    `uncalibrated` and `calibrated` (stations, targets, 3) [m] are the points of each station.
+    `uncalibrated` and `calibrated` (S, T, 3) [m] are the points of T targets from S stations.
     """
-    differences = distance_differences_to_first(uncalibrated)
+    differences = distance_disagreement_with_first_station(uncalibrated)
     if not len(differences.disagreements):
         return {}
-    corrected = None if calibrated is None else distance_differences_to_first(calibrated)
+    corrected = None if calibrated is None else distance_disagreement_with_first_station(calibrated)
     return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
 
 
@@ -299,20 +298,20 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 
 def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean absolute error of each distance between two targets relative to the nominal distance.
+    """Mean absolute difference, over the stations, of each distance between two targets from its nominal value.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
-    3) [m] those of the measuring machine.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured, `nominal_points` (T, 3) [m]
+    the points from a coordinate measuring machine.
     Source: Sensors 2021, 21, 7479, eq. 13.
     """
-    return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
+    return distance_disagreement_with_first_station(np.concatenate([nominal_points[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Distance of each target from its nominal point after a rigid fit of each station, mean over stations.
+    """Mean distance, over the stations, of each target from its nominal point after a rigid fit of each station.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
-    3) [m] those of the measuring machine.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured, `nominal_points` (T, 3) [m]
+    the points from a coordinate measuring machine.
     Source: Sensors 2021, 21, 7479, eq. 14.
     """
     gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
@@ -329,10 +328,10 @@ def verify_against_nominal(
 ) -> CriteriaEntry:
     """Errors of a laboratory recording relative to nominal points, before and after calibration.
 
-    `nominal_points` maps target names to coordinates (3,) [m]. The calibration uses the p `parameter_values` of the
-    error model `construction`, (p,) or for each of n pointings (n, p) [SI], and subtracts the changes by estimated
-    effects, `reading_changes` (n, 3) [m, rad, rad], from the readings.
-    Raises NetworkError if a station measured fewer than three targets with nominal points.
+    `nominal_points` maps target names to coordinates (3,) [m]. The correction uses the p `parameter_values` [SI] of the
+    error model `construction`, (p,) or for each of n pointings (n, p). Before, the changes by estimated effects,
+    `reading_changes` (n, 3) [m, rad, rad], are subtracted from the readings. Raises NetworkError if a station measured
+    fewer than three targets with nominal points.
     """
     nan_vector = np.full(3, np.nan)
     goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])

@@ -1,4 +1,4 @@
-"""Field check: a go or no-go decision from repeated measurements of each set-up."""
+"""Field check: a go or no-go decision from repeated measurements at each set-up, before the tripod is moved."""
 
 from ltsim.adjustment.fieldcheck.check import (
     check as check,

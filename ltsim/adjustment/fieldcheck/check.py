@@ -1,8 +1,8 @@
-"""Field check: tests of every set-up by repeated measurements, with corrected p-values.
+"""Field check: tests of every set-up by repeated measurements, and tests of the network, with corrected p-values.
 
-All tests of a recording share one false-alarm probability, `level`. Half of it belongs to the tests of single set-ups
-and half to the tests of the network. Each half is divided equally among its tests, and the probability of each test
-equally among the targets, time gaps or pointings that it examines (Bonferroni).
+All tests of a recording share one false-alarm probability, `level`. Half of it is for the tests of single set-ups, half
+for the tests of the network. Each half is divided equally among its tests, and the part of each test equally among the
+targets, time gaps or pointings that the test examines (Bonferroni).
 """
 
 from collections.abc import Callable, Mapping
@@ -17,10 +17,10 @@ from ltsim.adjustment.blunders import apply_corrections, detect_blunders
 from ltsim.adjustment.fieldcheck.network import (
     adjust_for_check,
     n_network_tests,
-    network_items,
+    network_check_items,
     with_increased_noise_at_noisy_targets,
 )
-from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.fieldcheck.occupation import AddedColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.fieldcheck.result import (
     TWO_FACE_TABLE,
     BonferroniFamily,
@@ -48,7 +48,7 @@ from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
-from ltsim.geometry.rigid import MIN_RIGID_POINTS
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotionEffect
 from ltsim.physics.effects.range_drift import RangeDrift
@@ -59,24 +59,25 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 from ltsim.recordings.times import interval_text
 
-N_SETUP_TESTS = 6
-"""Number of tests of one set-up: two faces, gross errors, bump, drift of the station and of the instrument, scatter."""
+N_TESTS_PER_SETUP = 6
+"""Number of tests of one set-up: two faces, gross errors, bump, station drift, instrument drift, scatter."""
 
 
-SentenceWriter = Callable[[Recording, ColumnsFit, bool], str]
-"""Function for the sentence on a test, from the recording, the fit of the tested columns, and a flag (test passed)."""
+DriftSentenceFunction = Callable[[Recording, AddedColumnsFit, bool], str]
+"""Function that returns the sentence on a drift test, from the recording of a set-up, the fit of the drift, and a flag,
+True if the test passed."""
 
 
 def check(
     recording: RecordingSource, *, level: float = FAMILY_WISE_LEVEL, mpe: tuple[float, float] | None = None
 ) -> Check:
-    """Field check of a recording: two-face differences, repeated points, drift, bumps and scatter.
+    """Field check of a recording: tests of two-face differences, repeated points, drifts, bumps and scatter.
 
     Parameters
     ----------
     recording : Recording, str or Path
     level : float
-        Probability of any false alarm in the whole recording, if noise and specification are correct.
+        Probability of at least one false alarm in the whole recording, if noise and specification are correct.
     mpe : pair of float, optional
         Maximum permissible two-face difference, as a length: constant part [um] and part proportional to the range
         [um/m], such as ``(20, 6)``; default from the noise and the specification of the instrument.
@@ -109,7 +110,7 @@ def check(
     paired = (
         full_recording if selection is None else selection.fit.correct_recording(full_recording, keeps_outliers=True)
     )
-    family = BonferroniFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
+    family = BonferroniFamily(level, 2 * N_TESTS_PER_SETUP * max(len(full_recording.stations), 1))
     all_indices = range(len(full_recording.stations))
     setups, network = (
         tuple(_test_setup(corrected, paired, full_recording, s, family, mpe) for s in all_indices),
@@ -128,7 +129,7 @@ def check(
                 _test_setup(recording_to_test, recording_to_test, full_recording, s, family, mpe) for s in all_indices
             )
         shared = BonferroniFamily(level, 2 * n_network_tests(full_recording))
-        network_tests = network_items(
+        network_tests = network_check_items(
             noise_scaled_recording,
             adjustment_or_error,
             shared,
@@ -141,12 +142,12 @@ def check(
     result = Check.from_items(CheckArrays(full_recording, setups), network, level, causes)
     if not result.items:
         message = "no station measured a target twice, so no test is possible yet; "
-        raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
+        raise NetworkError(message + "measure some targets in both faces, or the first targets again at the end")
     return result
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Check with the digests of its files, after they are written to `folder`: `check.json`, `two_face.csv` and others.
+    """Check with digests of the files that this function writes to `folder`: `check.json`, `two_face.csv` and others.
 
     `extra_files` are the texts of further files by file name, for example of a figure.
 
@@ -167,12 +168,12 @@ def _test_setup(
     test_family: BonferroniFamily,
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
-    """Results of the tests of the set-up with index `station`.
+    """Results of the tests of the set-up with the index `station`.
 
     The three recordings contain the same pointings with different corrections. The two-face differences are those of
-    `paired_recording`, which contains outliers; the other tests use `setup_recording`; `recording_with_declared_noise`
-    has no estimated noise. `mpe` is the maximum permissible two-face difference: constant part [um] and part per range
-    [um/m].
+    `paired_recording`, which contains outliers. The other tests use `setup_recording`.
+    `recording_with_declared_noise` serves for sentences on estimated noise. `mpe` is the maximum permissible two-face
+    difference: constant part [um] and part per range [um/m]; None for the limit by noise and specification.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
@@ -181,7 +182,7 @@ def _test_setup(
         estimated_noise_text(recording, recording_with_declared_noise.select(indices)),
     )
     occupation = StationOccupation.from_recording(recording, construction)
-    setup_tests = SetupTests((), occupation, (), recording)
+    setup_tests = GrossAndMotionTests((), occupation, (), recording)
     if occupation.dof > 0:
         setup_tests = _gross_and_motion_tests(occupation, construction, test_family, row_numbers)
     two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected_recording.readings
@@ -206,7 +207,7 @@ def _test_setup(
         items += [*setup_tests.items, repeatability_item(remaining, test_family, noise_text)]
     else:
         setup_tests = _gross_and_motion_tests(
-            StationOccupation.from_recording(recording, construction, sigma=occupation.sigma * scale),
+            StationOccupation.from_recording(recording, construction, sigma=occupation.reading_sigmas * scale),
             construction,
             test_family,
             row_numbers,
@@ -216,22 +217,22 @@ def _test_setup(
 
 
 @dataclass(frozen=True)
-class SetupTests:
-    """Results of the tests of one occupation for gross errors, motions of the station and drifts of the instrument."""
+class GrossAndMotionTests:
+    """Results of the tests of one set-up for gross errors, motions of the station and drifts of the instrument."""
 
     items: tuple[CheckItem, ...]
-    """Results of the tests."""
+    """Test results, one per test."""
     corrected_occupation: StationOccupation
-    """Occupation without the pointings with gross errors, and with the detected motions and drifts fitted."""
+    """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
-    """Detected motions of the station."""
+    """Detected motions of the station (bump, drift)."""
     motion_corrected_recording: Recording
-    """Recording whose readings are corrected for the detected motions and drifts."""
+    """Recording of the set-up whose readings are corrected for the detected motions and drifts."""
 
 
 def _gross_and_motion_tests(
     occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily, row_numbers: Ints
-) -> SetupTests:
+) -> GrossAndMotionTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
     `row_numbers` (n,) are the rows of the n pointings of the set-up in the whole recording, from 1.
@@ -256,15 +257,16 @@ def _gross_and_motion_tests(
     if designs:
         together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
-    return SetupTests(tuple(check_items), remaining, tuple(motions), recording)
+    return GrossAndMotionTests(tuple(check_items), remaining, tuple(motions), recording)
 
 
 def _gross_pointings_and_bump(
     occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
-    """p-values of pointings with gross errors by index, the bump or None, and the occupation without these pointings.
+    """p-values of gross pointings by index, bump (None if not significant), and set-up model without gross pointings.
 
-    Pointings are removed one by one, until a bump explains the readings better than the next gross error does.
+    Gross pointings are removed one by one, until a bump (sudden motion of the station) explains the readings better
+    than the next gross error does.
     """
     gross: dict[int, float] = {}
     most = max(1, MAX_SINGLE_ERROR_FRACTION * len(occupation.row_mask))
@@ -272,7 +274,7 @@ def _gross_pointings_and_bump(
         drop, rank = occupation.removal_chi2_drops_and_dof()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(occupation.row_mask))
         worst = int(np.argmax(alone))
-        bump, explained, gaps = best_bump(occupation)
+        bump, explained, gaps = best_fitting_bump(occupation)
         creep = _neg_log_p(occupation.fit_columns(UniformMotion().design(occupation.sightings)))
         steady = creep >= _neg_log_p(explained) - np.log(gaps)
         bump = None if steady or occupation.p_value(explained) * gaps >= test_family.alpha_per_test else bump
@@ -283,47 +285,50 @@ def _gross_pointings_and_bump(
             return gross, bump, occupation
         gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = occupation.row_mask & np.asarray(np.arange(len(occupation.row_mask)) != worst)
-        occupation = StationOccupation.from_recording(occupation.recording, construction, use, occupation.sigma)
+        occupation = StationOccupation.from_recording(
+            occupation.recording, construction, use, occupation.reading_sigmas
+        )
 
 
-def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
+def best_fitting_bump(occupation: StationOccupation) -> tuple[StationBump | None, AddedColumnsFit, int]:
     """Bump (sudden motion of the station) that explains the readings best, its fit, and the number of tested time gaps.
 
-    The bump is None if no time gap has enough targets measured before and after it.
+    A bump is possible in each time gap between pointings with at least three targets measured before and after it. The
+    result is None, with an empty fit, if there is no such gap.
     """
     candidates = [
         bump
         for bump in StationBump.candidates(occupation.sightings)
-        if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS
+        if _n_targets_across_bump(occupation, bump) >= MIN_POINTS_FOR_POSE
     ]
     if not candidates:
-        return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
+        return None, AddedColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in candidates}
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
-        if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS:
+        if _n_targets_across_bump(occupation, bump) >= MIN_POINTS_FOR_POSE:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
     best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
     return best_candidate, explained_by[best_candidate], len(np.unique(occupation.sightings.time)) - 1
 
 
 def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:
-    """Number of targets measured both before and after the bump."""
+    """Number of targets measured both before and after a bump (sudden motion of the station)."""
     is_after = occupation.sightings.time >= bump.time
     target = occupation.recording.target
     return len(np.intersect1d(target[occupation.row_mask & is_after], target[occupation.row_mask & ~is_after]))
 
 
-def _neg_log_p(fit: ColumnsFit) -> float:
-    """Negative log p-value of the chi-square decrease by a fit, under the declared noise."""
+def _neg_log_p(fit: AddedColumnsFit) -> float:
+    """Negative logarithm of the p-value of the decrease of chi-square by a fit, for the declared noise."""
     return float(neg_log_p_chi2(fit.chi2_drop, fit.rank))
 
 
 def _gross_item(
     occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
-    """Result of the test for gross errors, from the p-values of the rejected pointings by index.
+    """Test result for gross errors of a set-up, from the p-values of its rejected pointings by index.
 
-    `row_numbers` (n,) are the rows of the n pointings in the recording, from 1.
+    `row_numbers` (n,) are the row numbers of the n pointings of the set-up in the whole recording, from 1.
     """
     recording, name = occupation.recording, occupation.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
@@ -338,9 +343,9 @@ def _gross_item(
 def _bump_item(
     occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
-    """Result of the test for a sudden motion of the station; passed if `bump` is None.
+    """Test result for a sudden motion (bump) of a station; passed if `bump` is None.
 
-    `row_numbers` (n,) are the rows of the n pointings in the recording, from 1.
+    `row_numbers` (n,) are the row numbers of the n pointings of the set-up in the whole recording, from 1.
     """
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
@@ -360,9 +365,9 @@ def _bump_item(
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:
-    """Changes (n, 3, 2) of the three readings of n pointings by unit drift rates of two zeros of the instrument.
+    """Changes (n, 3, 2) of the readings of n pointings per unit of two drift rates of the instrument.
 
-    The first is the zero of the range [m/s], the second the vertical index [rad/s].
+    These are the rates of the range zero [m/s] and of the vertical index [rad/s].
     """
     laws, sightings = (
         [RangeDrift(law="visit"), IndexDrift(law="visit")],
@@ -376,9 +381,12 @@ def _drift_item(
     test_family: BonferroniFamily,
     kind: CheckItemKind,
     design: Floats,
-    write_sentence: SentenceWriter,
+    write_sentence: DriftSentenceFunction,
 ) -> CheckItem:
-    """Result of the test for a drift; `design` (n, 3, k) are the changes of n pointings per unit of k parameters."""
+    """Test result for a drift of a station or instrument during its occupation.
+
+    `design` (n, 3, k) are the changes of the readings of n pointings per unit of the k parameters of the drift.
+    """
     fit = occupation.fit_columns(design)
     p_value = test_family.corrected_p_value(occupation.p_value(fit))
     is_passed = p_value >= test_family.false_alarm_rate

@@ -1,4 +1,4 @@
-"""Tests of all stations of a recording together: agreement on common targets, levels and known lengths."""
+"""Tests of a field check that compare the stations of a recording: common targets, levels and known lengths."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -28,13 +28,14 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
-"""Number of tests of all stations together: one of common targets, one of levels. Known lengths add a third test."""
+"""Number of tests that compare all stations: one of common targets, one of levels. Known lengths add a third test."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
-"""Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
+"""Kinds of reference values that the adjustment of a field check may exclude. Levels are not among them, because they
+are tested station by station."""
 
 
 def n_network_tests(recording: Recording) -> int:
-    """Number of tests of all stations together: 2, or 3 with known lengths."""
+    """Number of tests that compare all stations of a recording: 2, or 3 with known lengths."""
     return N_NETWORK_TESTS + bool(recording.gauge.distance)
 
 
@@ -55,9 +56,9 @@ def with_increased_noise_at_noisy_targets(
 ) -> tuple[Recording, tuple[CheckItem, ...]]:
     """Recording with increased standard deviations at noisy targets, and the failed test of these targets.
 
-    The readings to a noisy target scatter much more than those to other targets, also in an adjustment that estimates
-    the errors of the instrument, which affect near and steep targets most. Without noisy targets the recording is
-    returned unchanged and the tests are empty.
+    Readings to a noisy target scatter much more than those to other targets. Errors of the instrument, which affect
+    near and steep targets most, cannot be the reason, because they are estimated. Without noisy targets the recording
+    is returned unchanged, without a test.
     """
     if adjustment_or_error.rejected_references or not len(adjustment_or_error.noisy_targets_and_scatter[0]):
         return recording, ()
@@ -102,7 +103,7 @@ def with_increased_noise_at_noisy_targets(
     )
 
 
-def network_items(
+def network_check_items(
     recording: Recording,
     adjustment_or_error: Adjustment | LtsimError,
     test_family: BonferroniFamily,
@@ -112,12 +113,12 @@ def network_items(
     uses_target_noise: bool,
     noise_text: str,
 ) -> tuple[CheckItem, ...]:
-    """Results of the tests of all stations together; the errors of the instrument are estimated.
+    """Results of the tests that compare all stations, with the errors of the instrument estimated.
 
-    `adjustment_or_error` is the network adjusted with the declared noise, also if `recording` has increased noise at
-    some targets (`uses_target_noise`). `motions` are station motions detected in single set-ups, `station_motions` are
-    motions that only the network shows. `noise_text` states the estimated noise of `recording`; it is empty for the
-    declared noise.
+    `adjustment_or_error` is the network adjusted with the declared noise. With `uses_target_noise`, `recording` has
+    increased noise at some targets. `motions` are station motions that were detected in single set-ups,
+    `station_motions` motions that only the comparison of stations shows. `noise_text` is a text on the estimated noise
+    of `recording`, empty for the declared noise.
     """
     try:
         construction = declared_construction(recording)
@@ -145,10 +146,15 @@ def network_items(
         stations = ", ".join(motion.stations)
         check_items.append(
             CheckItem.from_test(
-                stations, "mistake", False, motion.sentence, targets=motion.targets, rows=tuple(motion.rows + 1)
+                stations,
+                "mistake",
+                False,
+                motion.sentence,
+                targets=motion.targets,
+                rows=tuple(motion.pointing_indices + 1),
             )
         )
-        is_explained[motion.rows] = True
+        is_explained[motion.pointing_indices] = True
     centring_errors = estimate_centring_errors(adjustment_or_error)
     if centring_errors is not None:
         marks = tuple(dict.fromkeys(motion.mark for motion in centring_errors.occupations))
@@ -190,7 +196,7 @@ def network_items(
 def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_with_errors: Adjustment) -> bool:
     """True if errors of the instrument explain the misfit of a network better than larger noise does (F test).
 
-    `adjustment_without_errors` has no unknowns for these errors, `adjustment_with_errors` estimates them.
+    `adjustment_without_errors` does not estimate instrument errors, `adjustment_with_errors` does.
     """
     n_parameters = adjustment_with_errors.problem.unknowns.instrument_columns.size
     f_statistic = (
@@ -204,11 +210,11 @@ def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_wit
 def _target_agreement_items(
     adjustment: Adjustment, is_explained: Bools, test_family: BonferroniFamily, noise_text: str
 ) -> list[CheckItem]:
-    """Result of the test of the agreement of the stations on their common targets, as a list with one item.
+    """Result of the test that stations agree on their common targets, as a list with one item.
 
     A failed test names the pointing with the largest residual. `is_explained` (n,) flags those of n pointings that
-    other tests already report; these are left out. `noise_text` states the estimated noise; it is empty for the
-    declared noise.
+    other tests already report, so that they are left out here. `noise_text` is a text on the estimated noise, empty for
+    the declared noise.
     """
     recording, out = adjustment.recording, adjustment.is_rejected_reading.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
@@ -220,12 +226,12 @@ def _target_agreement_items(
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_TEST_LEVEL:
             scatter += (
-                f"; noise alone causes so large a value in one of {1 / alone:.0f} networks, so the check accepts it"
+                f"; noise alone causes so large a value in one of {1 / alone:.0f} networks, so the test is passed"
             )
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]
-    largest_residuals = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma)).max(axis=1)
+    largest_residuals = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.reading_sigmas)).max(axis=1)
     outlier_rows = np.flatnonzero(out)
     outlier_rows = outlier_rows[np.argsort(-largest_residuals[outlier_rows], kind="stable")]
     station, target = recording.station[outlier_rows[0]], recording.target[outlier_rows[0]]
@@ -239,7 +245,7 @@ def _target_agreement_items(
 
 
 def _level_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[CheckItem]:
-    """Results of the tests of each station's level against the vertical of the other stations, by common targets."""
+    """Results of the tests that the level of each station agrees with the vertical of the other stations."""
     items, levels = [], fitted.problem.level_rows
     for test in fitted.reference_tests if len(levels) > 1 else ():
         if test.kind == "level" and test.redundancy.max() > MIN_CHECKED_REDUNDANCY:
@@ -251,10 +257,10 @@ def _level_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Chec
 
 
 def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[CheckItem]:
-    """Results of the test of the common scale of the known lengths, or of a single length, against the distances.
+    """Result of the test that the scale of the known lengths agrees with the measured distances, as a list.
 
-    The uncertainty includes the specification of the instrument. The list is empty after a rejection of a length or
-    scale, which is reported already.
+    For a single known length, the length itself is tested. The uncertainty includes the specification of the
+    instrument. The list is empty if the adjustment excluded a length or the scale, which another item reports.
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
@@ -266,7 +272,7 @@ def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Che
         p = test_family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
         passed = p >= test_family.false_alarm_rate
         agreement = (
-            f"{test.name}: agreement with the measured distances within noise and specification ({test.error_text})"
+            f"{test.name}: consistent with the measured distances within noise and specification ({test.error_text})"
         )
         check_items.append(CheckItem.from_test("", "reference", passed, agreement if passed else test.sentence, p))
     return check_items

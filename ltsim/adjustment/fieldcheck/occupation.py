@@ -1,13 +1,13 @@
 """Linear model of a single set-up with repeated pointings, and two-face differences.
 
-Every target measured twice, on the other face or later, provides redundancy without a second station. The unknowns
-are three coordinates per target and the instrument's parameters. A suspected cause (a bump, a drift, a gross pointing)
-adds columns to the design matrix, and is tested by the decrease of chi-square after a fit of these columns.
+Every target measured twice, in the other face or later, provides redundancy without a second station. The unknowns are
+three coordinates per target and the instrument parameters. A suspected cause (a bump, a drift, a gross pointing) adds
+columns to the design matrix, and is tested by the decrease of chi-square after a fit of these columns.
 
 Half differences of face 1 minus face 2 are tested target by target. Their limit includes the declared noise, and the
-differences that the specified errors of axes, beam and encoders (`setup.toml`, [instrument.prior]) cause at the
-position of the target, because a tracker within its specification has such differences too. A user can replace the
-limit by A um + B um/m for the full difference as a length (the form of ASME B89.4.19).
+differences that specified errors of axes, beam and encoders (`setup.toml`, [instrument.prior]) cause at the position of
+the target, because a tracker within its specification has such differences too. A user can replace the limit by
+A um + B um/m for the full difference as a length (the form of ASME B89.4.19).
 """
 
 from __future__ import annotations
@@ -31,31 +31,34 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_INSTRUMENT_SINGULAR_VALUE = 0.1
-"""Smallest singular value of a combination of instrument errors that is a parameter of the model.
+"""Smallest singular value of a combination of instrument errors that is estimated in the model of a set-up.
 
-The singular values are those of the whitened design columns of the instrument errors, scaled by their prior standard
-deviations. Combinations with smaller values change the readings by less than their noise.
+The singular values are those of the whitened design columns of the instrument errors, multiplied by their prior
+standard deviations. Combinations with smaller singular values change the readings by much less than the noise.
 """
 MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
-"""Smallest determined fraction of a parameter: squared length of the projection of its unit vector onto the space of
-determined parameters. A parameter with a smaller fraction is undetermined and gets an infinite variance."""
+"""Smallest fraction of a determined parameter that lies in the space of determined combinations of parameters (squared
+length of the projection of its unit vector). A parameter below it is undetermined and gets an infinite variance."""
 
 
 @dataclass(frozen=True)
-class ColumnsFit:
-    """Least-squares fit of additional columns of the design matrix to the residuals of a station occupation."""
+class AddedColumnsFit:
+    """Least-squares fit of c added design columns, such as those of a drift, to the residuals of a set-up."""
 
     chi2_drop: float
     """Decrease of the weighted sum of squared residuals by the fit."""
     rank: int
-    """Number of linearly independent columns that were fitted."""
+    """Number of linearly independent columns that were fitted: degrees of freedom of `chi2_drop`."""
     estimates: Floats
-    """Estimated parameter of each of c columns, (c,)."""
+    """Estimated parameters of the c columns, (c,) [SI]."""
     covariance: Floats
     """Covariance (c, c) of the c estimates; the variance of an undetermined parameter is infinite."""
 
     def estimate_length_and_sigma(self, columns: slice) -> tuple[float, float]:
-        """Length of the vector of the estimates that `columns` selects, and the standard deviation of the length."""
+        """Length of the vector of those estimates that `columns` selects, and its standard deviation.
+
+        The standard deviation is infinite if one of these estimates is undetermined.
+        """
         vector, covariance = self.estimates[columns], self.covariance[columns, columns]
         vector_length = float(np.sqrt(vector @ vector))
         if not np.isfinite(np.diag(covariance)).all():
@@ -66,23 +69,23 @@ class ColumnsFit:
 
 @dataclass(frozen=True)
 class StationOccupation:
-    """Set-up with repeated pointings: whitened residuals after a fit of target coordinates and instrument errors."""
+    """Linear model of one set-up with repeated pointings: residuals after a fit of targets and instrument errors."""
 
     recording: Recording
-    """Recording of this station."""
+    """Recording with the pointings of this set-up only."""
     sightings: Sightings
-    """Sightings of the pointings, in the instrument frame."""
+    """Range, direction and covariates (such as time) of each pointing, in the instrument frame."""
     row_mask: Bools
     """Flags (n,), True for those of the n pointings that are in use."""
     whitened_residuals: Floats
     """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
     target_basis: Floats
-    """Orthonormal basis, (n, 3, 3), of the changes of the readings of n pointings by their target's coordinates. The
-    last axis counts the three basis vectors.
-    """
+    """Orthonormal basis, (n, 3, 3), of the whitened changes of the readings of n pointings by the coordinates of their
+    target. The last axis counts the three basis vectors of the target."""
     instrument_basis: Floats
-    """Orthonormal basis, (n, 3, k), of the changes of the readings of n pointings by k determined instrument errors."""
-    sigma: Floats
+    """Orthonormal basis, (n, 3, k), of the whitened changes of the readings by k determined combinations of instrument
+    errors, and by fitted motions and drifts."""
+    reading_sigmas: Floats
     """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     dof: int
     """Degrees of freedom: number of readings in use minus number of determined unknowns."""
@@ -95,10 +98,10 @@ class StationOccupation:
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> StationOccupation:
-        """Occupation of the only station of a recording, with the errors of the model `construction` as unknowns.
+        """Model of the only set-up of a recording, with the parameters of the error model `construction` as unknowns.
 
-        `row_mask` (n,) selects some of the n pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard
-        deviations of their readings.
+        `row_mask` (n,) selects some of the n pointings, by default all. `sigma` (n, 3) [m, rad, rad] are the standard
+        deviations of the readings, by default the declared ones.
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.is_usable_reading & mask[:, None]
@@ -126,16 +129,16 @@ class StationOccupation:
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squared residuals, with target coordinates and instrument errors fitted."""
+        """Chi-square: weighted sum of squared residuals after the fit of target coordinates and instrument errors."""
         return float(np.sum(self.whitened_residuals**2))
 
     @property
     def inverse_sigmas(self) -> Floats:
         """Inverse standard deviations (n, 3) of the readings of n pointings; 0 for readings that are not in use."""
-        return np.where(self.recording.is_usable_reading & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
+        return np.where(self.recording.is_usable_reading & self.row_mask[:, None], 1.0 / self.reading_sigmas, 0.0)
 
     def project_columns(self, columns: Floats) -> Floats:
-        """Part of c whitened columns (n, 3, c), for n pointings, that targets and instrument errors do not explain."""
+        """Part (n, 3, c) of whitened columns (n, 3, c) that target coordinates and instrument errors do not explain."""
         target_coefficients = np.einsum("nij,nic->njc", self.target_basis, columns)
         target_sums = np.zeros((len(self.recording.targets), *target_coefficients.shape[1:]))
         np.add.at(target_sums, self.recording.target, target_coefficients)
@@ -146,10 +149,10 @@ class StationOccupation:
         return np.asarray(remainder)
 
     def _projected_unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
-        """Projected columns (3 n, c) of a suspected cause, scaled to unit length, and the original lengths (c,).
+        """Unexplained columns (3 n, c) of a suspected cause, scaled to unit length, and original lengths (c,).
 
-        Column and length are 0 if target coordinates and instrument errors explain the cause. `design` (n, 3, c) is the
-        change of the readings of n pointings per unit of the c parameters of the cause.
+        Column and length are 0 if target coordinates and instrument errors explain the column. `design` (n, 3, c) is
+        the change of the readings of n pointings per unit of the c parameters of the cause.
         """
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
@@ -157,8 +160,11 @@ class StationOccupation:
         column_norms[column_norms < np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
         return np.where(column_norms > 0, columns / np.where(column_norms > 0, column_norms, 1.0), 0.0), column_norms
 
-    def fit_columns(self, design: Floats) -> ColumnsFit:
-        """Fit of a suspected cause; `design` (n, 3, c) is the change of n pointings per unit of its c parameters."""
+    def fit_columns(self, design: Floats) -> AddedColumnsFit:
+        """Least-squares fit of a suspected cause to the residuals.
+
+        `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.
+        """
         unit, length = self._projected_unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
         is_valid = size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)
@@ -167,10 +173,12 @@ class StationOccupation:
         covariance = inverse @ inverse.T
         is_undetermined = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION_OF_PARAMETER
         covariance[is_undetermined, is_undetermined] = np.inf
-        return ColumnsFit(float(coefficients @ coefficients), int(is_valid.sum()), inverse @ coefficients, covariance)
+        return AddedColumnsFit(
+            float(coefficients @ coefficients), int(is_valid.sum()), inverse @ coefficients, covariance
+        )
 
-    def p_value(self, fit: ColumnsFit) -> float:
-        """p-value of a fit: the larger p-value of a test with the declared and a test with the estimated noise."""
+    def p_value(self, fit: AddedColumnsFit) -> float:
+        """p-value of a fit: the larger one of a test with the declared noise and a test with the estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -179,9 +187,9 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
-        """Occupation whose model also contains a suspected cause with c parameters.
+        """Model of the set-up with another cause, such as a bump, as additional unknowns.
 
-        `design` (n, 3, c) is the change of the readings of n pointings per unit of each parameter.
+        `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.
         """
         u, size, _ = np.linalg.svd(self._projected_unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)]
@@ -192,7 +200,7 @@ class StationOccupation:
         )
 
     def chi2_and_dof_by_target(self) -> tuple[Floats, Floats]:
-        """Weighted sums of squared residuals (T,) at each of T targets, and their degrees of freedom (T,)."""
+        """Weighted sums of squared residuals (T,) of the readings to each of T targets, and degrees of freedom (T,)."""
         leverage = np.sum(self.target_basis**2, axis=2) + np.sum(self.instrument_basis**2, axis=2)
         redundancy = np.where(self.inverse_sigmas > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
@@ -202,7 +210,7 @@ class StationOccupation:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean_of_others(self, row: int) -> float:
-        """Distance [m] of the point measured in `row` from the mean of the target's other points; NaN without any."""
+        """Distance [m] of the point of pointing `row` from the mean of its target's other points; NaN without any."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -210,7 +218,7 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_repeatability(self, target: int) -> float:
-        """Standard deviation [m] of a target's repeated points, rms over the axes; NaN with fewer than two points."""
+        """Standard deviation [m] of the repeated points of a target, rms over the axes; NaN for a single point."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2:
@@ -218,9 +226,9 @@ class StationOccupation:
         return float(np.sqrt(np.mean(np.var(points, axis=0, ddof=1))))
 
     def removal_chi2_drops_and_dof(self) -> tuple[Floats, Ints]:
-        """Decreases (n,) of chi-square by the removal of each of n pointings, and their degrees of freedom (n,).
+        """Decreases (n,) of chi-square if one of n pointings is removed, and their degrees of freedom (n,).
 
-        The degrees of freedom of a pointing are the number of directions in which other pointings check it, 0 to 3.
+        The degrees of freedom, 0 to 3, count the directions in which other pointings check the point.
         """
         redundancy = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
         redundancy = redundancy - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
@@ -234,7 +242,7 @@ class StationOccupation:
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
-    """Network state with the instrument at the origin and each target at the mean of its measured points."""
+    """Network state with the instrument at the origin, and each target at the mean of its used points."""
     points = from_polar(recording.readings)
     is_complete = np.isfinite(points).all(axis=1)
     is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
@@ -247,10 +255,10 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal bases of the design columns of each target, as one array (n, 3, 3), and the sum of their ranks.
+    """Orthonormal bases (n, 3, 3) of the design columns of each target, and the sum of their ranks.
 
-    The rows (n, 3) are the readings of n pointings, the last axis counts the basis vectors of the target of the
-    pointing. `columns` (n, 3, 3) are the whitened changes of the readings per unit of the target's coordinates.
+    The first two axes are the readings of n pointings, the last axis counts the basis vectors of the target of the
+    pointing. `columns` (n, 3, 3) are the whitened changes of the readings per unit of the coordinates of the target.
     """
     bases, ranks = np.zeros_like(columns), 0
     for t in range(n_targets):
@@ -265,16 +273,16 @@ def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tup
 
 @dataclass(frozen=True)
 class TwoFaceDifferences:
-    """Two-face half differences of the m pairs of one set-up, with their limits."""
+    """Half differences (face 1 minus face 2) of the m pairs of pointings of one set-up, with their limits."""
 
     uncorrected_pairs: TwoFacePairs
-    """Pairs of readings as recorded."""
+    """Pairs of pointings with readings as recorded."""
     motion_corrected_pairs: TwoFacePairs
-    """Pairs of readings corrected for detected motions of the station and drifts of the instrument."""
+    """Pairs of pointings with readings corrected for detected motions of the station and drifts of the instrument."""
     half_difference_sigmas: Floats
     """Standard deviations (m, 3) [m, rad, rad] of the half differences of m pairs, from the declared noise."""
     exceeds_limit: Bools
-    """Flags (m, 3) of m pairs, True for half differences that exceed their limits after the correction for motions."""
+    """Flags (m, 3) of m pairs, True for half differences above their limits after the correction for motions."""
     half_difference_limits: Floats
     """Largest permitted half differences of m pairs, (m, 3) [m, rad, rad]."""
 
@@ -287,19 +295,19 @@ class TwoFaceDifferences:
         alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
-        """Differences of a recording with one station; None if no target was measured on both faces.
+        """Two-face differences of a recording with one station; None if no target was measured in both faces.
 
         `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
-        probability of any false alarm among the differences. `mpe`, the pair of numbers A and B, is the maximum
-        permissible full difference, A um + B um per metre of range; None for the limit by noise and specification of
-        `construction`.
+        probability of any false alarm among the differences. `mpe` is a pair of numbers A and B: the maximum
+        permissible full difference is A um + B um per metre of range. If it is None, the limit follows from noise and
+        specification.
         """
         if not len(face_pair_rows(recording)):
             return None
         pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
         sigma = recording.reading_sigmas()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
-        noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
+        noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.pointing_indices] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]
         change = [
             two_face_pairs(recording, construction, np.diag(prior)[k]).half_differences - pairs.half_differences
@@ -318,42 +326,42 @@ class TwoFaceDifferences:
 
 @dataclass(frozen=True)
 class TwoFacePairs:
-    """Pairs of pointings, each from one station to one target on both faces."""
+    """Pairs of pointings from one station to one target, one pointing in each face; m in number."""
 
-    rows: Ints
-    """Indices (m, 2) in the recording of the pointings on face 1 and face 2 of m pairs."""
+    pointing_indices: Ints
+    """Indices (m, 2) in the recording of the pointings in face 1 and face 2 of m pairs."""
     mean_front_face_readings: Floats
-    """Mean range, azimuth and elevation of both faces of m pairs, as front-face readings, (m, 3) [m, rad, rad]."""
+    """Mean range, azimuth and elevation of both faces of m pairs, converted to face 1, (m, 3) [m, rad, rad]."""
     half_differences: Floats
     """Half of face 1 minus face 2 of m pairs, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of
-    the elevation (perpendicular to the beam), and of the elevation.
+    the elevation (across the beam), and of the elevation.
     """
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.pointing_indices)
 
     @property
-    def rms(self) -> Floats:
+    def rms_half_differences(self) -> Floats:
         """Root mean square (3,) of the half differences: range [m], azimuth across the beam and elevation [rad]."""
         return np.sqrt(np.mean(self.half_differences**2, axis=0))
 
     @property
-    def median_absolute(self) -> Floats:
-        """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
+    def median_absolute_half_differences(self) -> Floats:
+        """Median (3,) of the absolute half differences: range [m], azimuth across the beam and elevation [rad]."""
         return np.median(np.abs(self.half_differences), axis=0)
 
     def select(self, is_selected: Bools) -> Self:
-        """Pairs that `is_selected` (m,) flags among the m pairs."""
+        """Subset of the m pairs: those that `is_selected` (m,) flags."""
         return replace(
             self,
-            rows=self.rows[is_selected],
+            pointing_indices=self.pointing_indices[is_selected],
             mean_front_face_readings=self.mean_front_face_readings[is_selected],
             half_differences=self.half_differences[is_selected],
         )
 
 
 def face_pair_rows(recording: Recording) -> Ints:
-    """Indices (m, 2) of the m pairs of complete pointings on face 1 and face 2 of one station, target and repeat."""
+    """Indices (m, 2) of m pairs of complete pointings in face 1 and face 2, from one station to one target."""
     is_complete = np.all(recording.is_usable_reading, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
@@ -367,15 +375,15 @@ def face_pair_rows(recording: Recording) -> Ints:
 def two_face_pairs(
     recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> TwoFacePairs:
-    """Two-face half differences of a recording, after a correction of its readings for instrument errors.
+    """Pairs of pointings in both faces with their half differences, after a correction for instrument errors.
 
     `parameter_values` [SI] are the p parameters of the error model `construction`, (p,), or (n, p) for n pointings. By
-    default the readings are not corrected. Raises NetworkError if no target was measured on both faces.
+    default the readings are not corrected. Raises NetworkError if no target was measured in both faces.
     """
     row_pairs = face_pair_rows(recording)
     if not len(row_pairs):
         raise NetworkError(
-            "no station measured range and both angles to a target on both faces; measure some targets on both faces"
+            "no station measured range and both angles to a target in both faces; measure some targets in both faces"
         )
     model = construction or ideal_construction()
     applied_values = np.zeros(model.n_parameters) if parameter_values is None else parameter_values

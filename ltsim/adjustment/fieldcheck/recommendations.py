@@ -1,6 +1,6 @@
-"""Recommended next actions of a user after a field check."""
+"""Next actions that are recommended to the user after a field check."""
 
-from ltsim.adjustment.fieldcheck.result import Check, CheckItem, item_from_cause
+from ltsim.adjustment.fieldcheck.result import Check, CheckItem, check_item_from_cause
 from ltsim.adjustment.identification.recommendations import (
     RECOMMENDATION_BY_CAUSE_KIND,
     recommendations_for_causes,
@@ -16,17 +16,18 @@ RECOMMENDATION_BY_FAILED_TESTS = {
     ("reference",): RECOMMENDATION_BY_CAUSE_KIND["reference-value"],
     ("reference-scale",): RECOMMENDATION_BY_CAUSE_KIND["reference-scale"],
 }
-"""Next action by the kinds of failed tests without an identified cause.
+"""Sentence on the next action, by the kinds of failed tests of a field check without an identified cause.
 
-`reference-scale` stands for tests of the common scale of all reference lengths. In the sentences `place` stands for the
-targets of the tests, or for their stations if they have no targets, `at_place` for the same names after the word "at".
+The kind `reference-scale` is the test of the common scale of all reference lengths. In the sentences `place` is
+replaced by the names of the targets of the tests, or of their stations if they have no targets, and `at_place` by these
+names after the word "at".
 """
 
 
 def recommendations_after_check(check: Check) -> list[str]:
-    """Next actions after the identified causes and then after the other failed tests, without repetitions."""
+    """Sentences on next actions: first after identified causes, then after other failed tests, without repetitions."""
     actions = recommendations_for_causes(check.tests)
-    causes = [item_from_cause(test) for test in check.tests]
+    causes = [check_item_from_cause(test) for test in check.tests]
     failed_items = [item for item in check.items if not item.passed and item not in causes]
     for kinds, action in RECOMMENDATION_BY_FAILED_TESTS.items():
         items = [item for item in failed_items if _recommendation_kind(item) in kinds]
@@ -39,5 +40,5 @@ def recommendations_after_check(check: Check) -> list[str]:
 
 
 def _recommendation_kind(item: CheckItem) -> str:
-    """Kind of a test in `RECOMMENDATION_BY_FAILED_TESTS`."""
+    """Kind of a test as it is named in `RECOMMENDATION_BY_FAILED_TESTS`."""
     return "reference-scale" if item.kind == "reference" and not (item.targets or item.station) else item.kind

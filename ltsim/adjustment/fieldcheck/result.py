@@ -1,4 +1,4 @@
-"""Result of a field check, its items, and correction of p-values for the number of tests."""
+"""Result of a field check with the results of its tests (items), and correction of p-values for the number of tests."""
 
 from __future__ import annotations
 
@@ -35,13 +35,18 @@ CheckItemKind = Literal[
     "level",
     "mistake",
 ]
-"""Kind of test of a field check."""
-FIRST_REPORTED_KINDS = ("cause", "mistake", "bump", "drift")
+"""Kind of a test of a field check.
+
+`cause` identified cause without a kind below, `two-face` two-face differences, `gross` gross pointings, `bump` sudden
+motion of a station, `drift` motion of a station at a constant rate, `instrument-drift` drift of the zeros of an
+instrument, `closure` scatter of repeated pointings, `network` agreement of the stations, `reference` reference values,
+`level` levels, `mistake` blunders."""
+FIRST_REPORTED_TEST_KINDS = ("cause", "mistake", "bump", "drift")
 """Kinds of failed tests that are reported first, because their causes also produce two-face differences and scatter."""
 
 
 class CheckItem(Entry):
-    """Test of a field check, with its result."""
+    """Result of one test of a field check."""
 
     station: str
     """Name of the tested station; empty for a test of all stations."""
@@ -52,13 +57,13 @@ class CheckItem(Entry):
     sentence: str
     """Result of the test as a sentence with units."""
     p_value: OptionalFloat = None
-    """p-value, corrected for the number of tests."""
+    """p-value, corrected for the number of tests; null for a test without one."""
     targets: tuple[str, ...] = ()
     """Names of the targets with the detected error."""
     rows: tuple[int, ...] = ()
     """Row numbers, from 1, of the pointings with the detected error."""
     motion_interval_s: tuple[Finite, Finite] | None = None
-    """Times [s] between which a sudden motion happened; null for other tests."""
+    """Times [s] between which a sudden motion of the station happened; null for other tests."""
 
     @classmethod
     def from_test(
@@ -70,14 +75,14 @@ class CheckItem(Entry):
         p_value: float | None = None,
         **details: Any,
     ) -> CheckItem:
-        """Item with the result of a test of `station`; `station` is empty for a test of all stations.
+        """Result of a test of `station`, which is empty for a test of all stations.
 
         `details` are the fields `targets`, `rows` and `motion_interval_s`.
         """
         return cls(station=station, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
-ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
+CHECK_ITEM_KIND_BY_CAUSE_KIND: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
@@ -87,13 +92,14 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
     "height": "mistake",
     "noise-level": "closure",
 }
-"""Kind of test under which an identified cause is listed, by the kind of the cause; `cause` for other kinds."""
+"""Kind of test under which a field check lists an identified cause, by the kind of the cause; `cause` for other
+kinds."""
 
 
-def item_from_cause(test: CauseTest) -> CheckItem:
-    """Item of a check for an identified cause: a failed test, or a passed one for noise smaller than declared."""
+def check_item_from_cause(test: CauseTest) -> CheckItem:
+    """Test result of a field check for an identified cause: failed, except for noise smaller than declared."""
     stations, targets = ", ".join(test.where.stations), test.where.targets
-    kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
+    kind: CheckItemKind = "level" if test.acts_on == "level" else CHECK_ITEM_KIND_BY_CAUSE_KIND.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
     return CheckItem.from_test(
         stations, kind, not test.is_fault, sentence, test.p_value, targets=targets, rows=test.rows
@@ -124,63 +130,63 @@ TWO_FACE_TABLE = Table(
 
 @dataclass(frozen=True)
 class SetupCheck(ValueEquality):
-    """Results of the tests of one set-up, with the data from which they were computed."""
+    """Results of all tests of one set-up, with the data from which they were computed."""
 
     station: str
     """Name of the station."""
     items: tuple[CheckItem, ...]
-    """Results of the tests."""
+    """Test results, one per test."""
     two_face_differences: TwoFaceDifferences | None
-    """Half two-face differences; None if no target was measured on both faces."""
+    """Half two-face differences with their limits; None if no target was measured in both faces."""
     occupation: StationOccupation | None
-    """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
+    """Linear model of the repeated pointings of this set-up; None if no target was measured twice."""
     row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotionEffect, ...] = ()
-    """Motions of the station that were detected during the occupation."""
+    """Detected motions of the station (bump, drift) during its occupation."""
 
 
 @dataclass(frozen=True)
 class CheckArrays(ValueEquality):
-    """Data of a check that are not part of `check.json`: the recording, and the tests of each set-up with arrays."""
+    """Data of a field check that are not written to `check.json`: the recording, and arrays of each set-up."""
 
     recording: Recording
-    """Checked recording."""
+    """Recording that was checked."""
     setup_checks: tuple[SetupCheck, ...]
-    """Tests of each set-up, in the order of the stations."""
+    """Test results and data of each set-up, in the order of the stations."""
 
 
 class Check(ResultFile):
-    """Result of `check`, with the content of `check.json`."""
+    """Result of a field check (command `check`), with the content of `check.json`."""
 
     FILE: ClassVar[str] = "check.json"
     format: Literal["ltsim-check/1"] = "ltsim-check/1"
     """Format and version of this file."""
     passed: bool
-    """True for go, False for no-go."""
+    """True if all tests passed (go), False otherwise (no-go)."""
     sentence: str
-    """Sentence with go or no-go and its reason."""
+    """Sentence that begins with go or no-go, and its reason."""
     level: Finite
     """False-alarm probability of the whole check."""
     tests: tuple[CauseTest, ...] = ()
-    """Identified causes of errors (for example a moved target or a wrong unit) and outliers."""
+    """Tests of identified causes of errors (for example a moved target or a wrong unit), and of outliers."""
     items: tuple[CheckItem, ...]
-    """Results of all tests: identified causes, then set-ups, then the network. The readings of the tests of set-ups and
-    network are corrected for the identified causes.
+    """Results of all tests: identified causes, then set-ups, then the network. For the tests of set-ups and network the
+    readings are corrected for the identified causes.
     """
     _arrays: CheckArrays | None = PrivateAttr(None)
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network_check_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
-        """Result with the items in this order: identified causes, blunders, set-ups, network.
+        """Result of a field check, with test results in this order: identified causes, blunders, set-ups, network.
 
-        `alpha` is the false-alarm probability of the whole check.
+        `tests` are the tests of identified causes, `alpha` is the false-alarm probability of the whole check.
         """
-        causes = tuple(map(item_from_cause, tests))
-        mistakes = (item for item in network_items if item.kind == "mistake")
-        other_network_items = (item for item in network_items if item.kind != "mistake")
+        causes = tuple(map(check_item_from_cause, tests))
+        mistakes = (item for item in network_check_items if item.kind == "mistake")
+        other_network_items = (item for item in network_check_items if item.kind != "mistake")
         items = (
             *causes,
             *mistakes,
@@ -200,7 +206,7 @@ class Check(ResultFile):
 
     @property
     def arrays(self) -> CheckArrays:
-        """Recording and set-ups of the check as arrays; raises ModelError for a check that was read from a file."""
+        """Recording and arrays of the set-ups; raises ModelError for a check that was read from a file."""
         if self._arrays is None:
             raise ModelError("a check read from a file has no recording; call lt.check with the recording")
         return self._arrays
@@ -221,7 +227,10 @@ class Check(ResultFile):
                 2 * [MICROMETRE, ARCSECOND, ARCSECOND]
             )
             for at, size, over in zip(
-                setup.row_numbers[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
+                setup.row_numbers[faces.uncorrected_pairs.pointing_indices],
+                sizes.tolist(),
+                faces.exceeds_limit,
+                strict=True,
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
@@ -231,15 +240,16 @@ class Check(ResultFile):
 def _go_or_no_go_sentence(
     check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], arrays: CheckArrays
 ) -> str:
-    """Sentence with go or no-go and the first failed test, in an order that prefers causes of other failures.
+    """Sentence that begins with go or no-go, and the sentence of the most important failed test.
 
-    The first failed test begins with a capital letter, unless it begins with the name of a station or target.
+    Failed tests that may be the cause of other failures are the most important. The sentence of the test gets a capital
+    letter, unless it begins with the name of a station or target.
     """
     failed_items = [item for item in check_items if not item.passed]
     n_failed_causes = sum(not item.passed for item in cause_items)
     rest = sorted(
         failed_items[n_failed_causes:],
-        key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets)),
+        key=lambda i: not (i.kind in FIRST_REPORTED_TEST_KINDS or (i.kind == "closure" and i.targets)),
     )
     failed_items = [*failed_items[:n_failed_causes], *rest]
     if failed_items:
@@ -256,28 +266,28 @@ def _go_or_no_go_sentence(
 
 @dataclass(frozen=True)
 class BonferroniFamily:
-    """Set of tests that share one probability of a false alarm (Bonferroni)."""
+    """Family of tests that share one false-alarm probability equally (Bonferroni)."""
 
     false_alarm_rate: float
-    """Probability of any false alarm among all tests of the set."""
+    """Probability of at least one false alarm among all tests of the family."""
     n_tests: int
-    """Number of tests, each of which gets an equal part of the false-alarm rate."""
+    """Number of tests of the family."""
 
     @property
     def alpha_per_test(self) -> float:
-        """Significance level of one test."""
+        """Significance level of one test of the family."""
         return self.false_alarm_rate / self.n_tests
 
     def corrected_p_value(self, p_value: float, n_alternatives: int = 1) -> float:
         """p-value corrected for the number of tests (Bonferroni), at most 1.
 
-        The p-value is multiplied by the number of tests of the set, and by `n_alternatives`, the number of time gaps or
-        pointings that one test examines.
+        The p-value is multiplied by the number of tests of the family, and by `n_alternatives`, the number of time gaps
+        or pointings that one test examines.
         """
         return min(1.0, p_value * n_alternatives * self.n_tests)
 
 
 def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
-    """Two-sided p-value of `chi2` with `dof` degrees of freedom, and a flag (True if `chi2` is below its median)."""
+    """Two-sided p-value of `chi2` with `dof` degrees of freedom, and a flag, True if `chi2` is below its median."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

@@ -1,4 +1,4 @@
-"""Tests of the scatter of repeated pointings of one set-up: against the noise, and between its targets."""
+"""Tests of the scatter of repeated pointings of one set-up: against the declared noise, and between its targets."""
 
 import numpy as np
 from scipy import special
@@ -8,17 +8,17 @@ from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_
 from ltsim.adjustment.fieldcheck.sentences import target_scatter_sentence
 from ltsim.core.arrays import Floats
 
-MIN_TARGET_DOF = 6.0
-"""Smallest number of degrees of freedom of a target whose scatter is compared with that of the other targets."""
+MIN_DOF_OF_COMPARED_TARGET = 6.0
+"""Smallest number of degrees of freedom of the readings to a target whose scatter is compared with other targets."""
 
 
 def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: BonferroniFamily) -> Floats | None:
-    """Factors (n, 1), at least 1, on the declared noise of n pointings, from the scatter at their targets.
+    """Factors (n, 1), at least 1, on the declared noise of n pointings, estimated separately for each target.
 
-    The result is None if the scatter does not differ significantly between the targets (test of Bartlett).
+    The result is None if the scatter does not differ significantly between the targets (Bartlett's test).
     """
     chi2, dof = occupation.chi2_and_dof_by_target()
-    is_testable = dof >= MIN_TARGET_DOF
+    is_testable = dof >= MIN_DOF_OF_COMPARED_TARGET
     variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
     if is_testable.sum() < 2 or not variance.min() > 0.0:
         return None
@@ -33,10 +33,9 @@ def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: 
 
 
 def repeatability_item(occupation: StationOccupation, test_family: BonferroniFamily, noise_text: str) -> CheckItem:
-    """Result of the two-sided test of the scatter of repeated pointings against the noise of the occupation.
+    """Result of the two-sided test that repeated pointings of a set-up scatter as their noise predicts.
 
-    Scatter that is significantly smaller than this noise passes with a remark. `noise_text` states an estimated noise;
-    it is empty for the declared noise.
+    Smaller scatter passes with a remark. `noise_text` is a text on estimated noise, empty for the declared noise.
     """
     name, ratio = occupation.recording.stations[0], float(np.sqrt(occupation.chi2 / max(occupation.dof, 1)))
     if occupation.dof < 1:
@@ -60,14 +59,14 @@ def target_scatter_item(
     test_family: BonferroniFamily,
     noise_text: str,
 ) -> CheckItem:
-    """Result of the test of scatter for a set-up whose targets scatter differently, with the names of noisy targets.
+    """Result of the scatter test of a set-up whose targets scatter differently, with the names of the noisiest targets.
 
-    `occupation` contains the readings as measured, `corrected_occupation` is corrected for motions and drifts;
-    `noise_text` states the estimated noise and is empty for the declared noise.
+    `occupation` is the model of the readings as measured, `corrected_occupation` the model with motions and drifts;
+    `noise_text` is a text on estimated noise, empty for the declared noise.
     """
     closure = repeatability_item(corrected_occupation, test_family, noise_text)
     chi2, dof = corrected_occupation.chi2_and_dof_by_target()
-    listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
+    listed_targets = np.flatnonzero(dof >= MIN_DOF_OF_COMPARED_TARGET)
     listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
     sentence, targets = target_scatter_sentence(occupation, listed_targets)
     return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

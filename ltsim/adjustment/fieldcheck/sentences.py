@@ -1,10 +1,10 @@
-"""Sentences on the results of a field check."""
+"""Sentences for the user on the results of the tests of a field check."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.fieldcheck.occupation import AddedColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Ints
 from ltsim.core.notation import names_text, with_sigma
@@ -16,8 +16,8 @@ ZERO_DRIFT_UNITS_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
     ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND),
 )
-"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and the largest standard deviation [SI] at
-which a sentence states the drift over the occupation. """
+"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and the largest standard deviation [SI] of
+the drift over the occupation at which a sentence reports the drift."""
 TRANSLATION_COMPONENTS = slice(0, 3)
 """Slice with the translation [m] among the six components of a station's motion."""
 TILT_COMPONENTS = slice(3, 5)
@@ -25,11 +25,11 @@ TILT_COMPONENTS = slice(3, 5)
 AZIMUTH_COMPONENT = slice(5, 6)
 """Slice with the rotation about the standing axis [rad] among the six components of a station's motion."""
 MAX_REPORTED_TILT_SIGMA = 100 * MICRORADIAN
-"""Largest standard deviation [rad] of the tilt of a station that a sentence states."""
+"""Largest standard deviation [rad] of the tilt of a station at which a sentence reports the tilt."""
 
 
 def estimated_noise_text(recording: Recording, declared_recording: Recording) -> str:
-    """Text on the noise of a recording relative to the declared noise, by observable; empty if both are equal.
+    """Text on the estimated noise of a recording relative to the declared noise, by observable; empty if equal.
 
     `declared_recording` is the same recording with the declared noise.
     """
@@ -51,19 +51,21 @@ def estimated_noise_text(recording: Recording, declared_recording: Recording) ->
 def two_face_sentence(
     differences: TwoFaceDifferences, recording: Recording, limit_text: str
 ) -> tuple[str, tuple[str, ...], Ints]:
-    """Sentence on the two-face differences, targets with differences beyond the limit, and two pointing indices.
+    """Sentence on the two-face differences, names of targets with differences beyond the limit, and pointing indices.
 
-    The indices are those of the pair with the largest ratio of difference to limit. `limit_text` describes the limit.
+    The indices (2,) are those of the pair with the largest ratio of difference to limit; they are empty without a
+    difference beyond the limit. `limit_text` names the limit, such as "noise and specification".
     """
     name, pairs = recording.stations[0], differences.motion_corrected_pairs
     if not differences.exceeds_limit.any():
-        sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
+        rms = pairs.rms_half_differences
+        sizes = f"{rms[0] / MICROMETRE:.1f} um, {rms[1] / ARCSECOND:.2f} and {rms[2] / ARCSECOND:.2f}"
         sentence = (
             f"{name}: the half two-face differences of {len(pairs)} pairs are within {limit_text}, rms {sizes} arcsec "
             "(range, across the beam, elevation)"
         )
         return sentence, (), np.zeros(0, dtype=np.int64)
-    targets = [recording.targets[t] for t in recording.target[pairs.rows[:, 0]]]
+    targets = [recording.targets[t] for t in recording.target[pairs.pointing_indices[:, 0]]]
     ratio = np.abs(pairs.half_differences) / differences.half_difference_limits
     k, column = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
     unit, factor = ("um", MICROMETRE) if column == 0 else ("arcsec", ARCSECOND)
@@ -75,14 +77,14 @@ def two_face_sentence(
         f"{number_text(pairs.half_differences[k, column] / factor)} {unit}, "
         f"the limit {number_text(differences.half_difference_limits[k, column] / factor)} {unit}"
     )
-    return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.rows[k]
+    return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.pointing_indices[k]
 
 
 def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequence[int], row_numbers: Ints) -> str:
-    """Sentence on the outliers among the pointings of a set-up.
+    """Sentence on the outliers among the n pointings of a set-up.
 
-    `outlier_indices` are the indices of the outliers among the n pointings, the largest first. `row_numbers` (n,) are
-    the rows of the pointings in the recording, from 1.
+    `outlier_indices` are the indices of the outliers, the largest first. `row_numbers` (n,) are the row numbers of all
+    pointings of the set-up in the whole recording, from 1.
     """
     recording, name = occupation.recording, occupation.recording.stations[0]
     if not outlier_indices:
@@ -111,13 +113,13 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
     )
 
 
-def bump_sentence(recording: Recording, motion_interval_text: str, fit: ColumnsFit) -> str:
-    """Sentence on a sudden motion of a station, from the text of its time interval and the fit of the motion."""
+def bump_sentence(recording: Recording, motion_interval_text: str, fit: AddedColumnsFit) -> str:
+    """Sentence on a sudden motion of a station: `motion_interval_text` and the sizes from the fit of the motion."""
     return f"{recording.stations[0]} moved {motion_interval_text}{_motion_text(fit)}"
 
 
-def station_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
-    """Sentence on the drift of a station during its occupation; if the test passed, with the estimated tilt."""
+def station_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: bool) -> str:
+    """Sentence on the drift of a station during its occupation, or on its tilt if the test passed."""
     name = recording.stations[0]
     minutes = float(np.ptp(recording.time)) / 60
     within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
@@ -130,8 +132,8 @@ def station_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) 
     return f"{name}: no drift of the station detected {within} (change of its tilt {tilt_text})"
 
 
-def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
-    """Sentence on the drift of the zeros of an instrument (range zero, vertical index) during an occupation."""
+def zero_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: bool) -> str:
+    """Sentence on the drift of range zero and vertical index of an instrument during its occupation."""
     duration = float(np.ptp(recording.time))
     drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     change_texts = [
@@ -148,9 +150,9 @@ def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
 
 
 def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
-    """Sentence on the scatter of the pointings to some targets, and the names of the noisier half of these targets.
+    """Sentence on the scatter of the pointings to k targets, and the names of the noisier half of these targets.
 
-    `target_indices` (k,) of the k targets are ordered by scatter, the largest first.
+    `target_indices` (k,) are the indices of the targets, those with the largest scatter first.
     """
     recording = occupation.recording
     names = [recording.targets[t] for t in target_indices]
@@ -160,8 +162,8 @@ def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints)
     return sentence, tuple(names[: (len(names) + 1) // 2])
 
 
-def _motion_text(fit: ColumnsFit) -> str:
-    """Text of the significant components of a station's motion and their standard deviations; empty if none is."""
+def _motion_text(fit: AddedColumnsFit) -> str:
+    """Text of the significant parts of a station's motion (shift, turn, tilt); empty if none is significant."""
     kinds = (
         ("shifted", TRANSLATION_COMPONENTS, "um", MICROMETRE),
         ("turned", AZIMUTH_COMPONENT, "urad", MICRORADIAN),

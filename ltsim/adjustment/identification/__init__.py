@@ -1,10 +1,10 @@
-"""Detection, identification and adaptation of common errors of a network, compared by their log evidence.
+"""Identification of common errors of a network (causes of a misfit), by the log evidence of fits with these errors.
 
 The list of causes is short: an outlier, an offset of all distances to a target, a station that moved, a wrong reference
 value and so on. Each cause at each station, target or reference value is a hypothesis with a prior probability and a
-change of the model. The network is fitted with each hypothesis in turn, and the log evidences of the fits are compared.
-An error of a million standard deviations is identified as reliably as an error of twenty, because every fit starts at a
-robust state and is relinearised.
+change of the model. The network is fitted with the most promising hypotheses, and the log evidences of the fits are
+compared. Very large errors are identified as reliably as small ones, because every fit starts at a robust state and is
+iterated.
 
 References
 ----------

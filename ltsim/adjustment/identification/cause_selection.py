@@ -1,4 +1,4 @@
-"""Selected causes of errors in a network, the decisions of the commands about them, and the adjustment with them.
+"""Selected hypotheses on the causes of a misfit, how commands use them, and an adjustment with them in the model.
 
 References
 ----------
@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -36,7 +36,8 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 INFINITE_GAIN_SUBSTITUTE = float(np.finfo(np.float32).max)
-"""Finite number instead of the infinite gain of log evidence of a hypothesis without which no fit is possible."""
+"""Finite number that replaces an infinite gain of log evidence, which a hypothesis has if no fit is possible without
+it."""
 SYSTEMATIC_CAUSE_KINDS = (
     "constant-offset",
     "constant-step",
@@ -47,16 +48,16 @@ SYSTEMATIC_CAUSE_KINDS = (
     "reflector-seating",
     "centring",
 )
-"""Kinds of causes that change all readings of one observable, of one set-up, or of one sight."""
-MAX_REFERENCE_MISCLOSURE = 0.1
-"""Misclosure [m] of a reference value above which the value is excluded before the adjustment, because the adjustment
-may not converge with it. """
+"""Kinds of causes that change all readings of an observable, of a set-up, or from one set-up to one target."""
+MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
+"""Misclosure [m] of a reference value, above which the value is excluded before an adjustment, because the adjustment
+may not converge with it."""
 
 
 def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
-    """Size [m] of an error: largest displacement of a measured point, or misclosure of a reference value.
+    """Largest displacement [m] of a measured point, or misclosure of a reference value, by the error of a hypothesis.
 
-    The size is 0 for a hypothesis on the noise or on wrongly recorded pointings.
+    It is 0 for a noise hypothesis and for wrongly recorded pointings.
     """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):
@@ -70,33 +71,33 @@ def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
 
 
 def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:
-    """True if a fit contains larger noise of all readings, whose true cause may be an unmodelled error."""
+    """True if a fit contains noise of all readings larger than declared, which may conceal an unmodelled error."""
     general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
-    return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
+    return any(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in general)
 
 
 @dataclass(frozen=True)
 class SelectedHypothesis:
-    """Selected hypothesis with its gain of log evidence, and the alternatives that were fitted in its place."""
+    """Selected hypothesis on a cause of the misfit, its gain of log evidence, and alternatives fitted in its place."""
 
     hypothesis: CauseHypothesis
     """Selected hypothesis."""
     log_evidence_gain: float
-    """Log evidence of the fit with all selected hypotheses, minus log evidence of the fit without this hypothesis."""
+    """Log evidence of the fit with all selected hypotheses, minus that of the fit without this hypothesis."""
     alternatives: tuple[tuple[CauseHypothesis, float], ...]
-    """Alternative hypotheses, each with its gain of log evidence in place of this hypothesis."""
+    """Alternative hypotheses, each with the gain of log evidence if it replaces this hypothesis."""
 
     @property
     def is_certain(self) -> bool:
         """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was badly seated.
 
-        Readings to a badly seated reflector are outliers without this hypothesis, so that they are wrong in both cases.
+        Readings to a badly seated reflector are wrong in any case: without this hypothesis they are outliers.
         """
         return self.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN or self.hypothesis.kind == "reflector-seating"
 
     @property
     def posterior_probabilities(self) -> Floats:
-        """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
+        """Posterior probabilities (k + 2,): of this hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
         gains = np.minimum(every, INFINITE_GAIN_SUBSTITUTE)
         return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
@@ -104,38 +105,37 @@ class SelectedHypothesis:
 
 @dataclass(frozen=True)
 class CauseSelection:
-    """Network fitted with the causes of errors that the readings support."""
+    """Result of the identification: network fitted with the selected hypotheses on the causes of its misfit."""
 
     fit: NetworkFit
-    """Fit with all selected hypotheses."""
+    """Network fit with all selected hypotheses in its model."""
     selected_hypotheses: tuple[SelectedHypothesis, ...]
-    """Selected errors of readings and reference values, then changes of the noise and centring errors; the most certain
-    first in each group."""
+    """Selected hypotheses: first errors of readings and reference values, then noise hypotheses and centring errors; in
+    each group the hypothesis with the largest gain of log evidence first."""
 
     @property
-    def _decisively_supported_hypotheses(self) -> list[CauseHypothesis]:
-        """Selected hypotheses that are certain."""
+    def _certain_hypotheses(self) -> list[CauseHypothesis]:
+        """Selected hypotheses that are certain: large gain of log evidence, or a badly seated reflector."""
         return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
-        """Effects of the certain hypotheses that are shifts of readings."""
-        changes = (h.model_change for h in self._decisively_supported_hypotheses)
+        """Effects, such as motions and offsets, of those certain hypotheses that shift readings."""
+        changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
     @property
     def requires_adjustment_with_causes(self) -> bool:
         """True if the selected hypotheses must be in the model before other tests of the network are possible.
 
-        This is necessary for a certain error that all readings of a set-up or target share, for exchanged reference
-        coordinates, and for a reference value with a large error. The adjustment tests other motions of stations and
-        other reference values separately.
+        Such hypotheses are certain errors of all readings of a set-up or target, exchanged reference coordinates, and a
+        reference value with a large error. The adjustment itself tests motions of stations and other reference values.
         """
-        certain = self._decisively_supported_hypotheses
+        certain = self._certain_hypotheses
         shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
         reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
         large_reference_errors = [
-            h for h in reference_errors if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE
+            h for h in reference_errors if largest_displacement(self.fit, h) > MAX_MISCLOSURE_OF_USED_REFERENCE
         ]
         exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in certain)
         gross = (
@@ -144,12 +144,12 @@ class CauseSelection:
             or len(large_reference_errors) == 1
         )
         model_changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in model_changes)
+        noisy = any(isinstance(change, NoiseFactorChange) and change.start_factor >= 1.0 for change in model_changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL)
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
-        """Certain motions of stations: for each station the motion with the largest gain of log evidence."""
+        """Certain motions of stations: for each station only the motion with the largest gain of log evidence."""
         motions: dict[tuple[str, ...], FittedMotion] = {}
         for effect in self._certain_effects:
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
@@ -159,34 +159,33 @@ class CauseSelection:
 
     @property
     def certain_target_motions(self) -> tuple[TargetMoved, ...]:
-        """Certain motions of targets."""
+        """Motions of targets that the model contains, because the hypotheses on them are certain."""
         return tuple(effect for effect in self._certain_effects if isinstance(effect, TargetMoved))
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if the selected hypotheses contain a shift of readings that is no certain motion of a station."""
+        """True if a selected hypothesis shifts readings in another way than by a certain motion of a station."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 
     @property
     def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
-        """Selected hypotheses if all are noise larger than declared and the network is consistent; otherwise empty."""
+        """Selected hypotheses, if all are larger noise than declared and the network is consistent; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
-        is_noise = all(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in changes)
+        is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
         return chosen if self.is_consistent and is_noise else ()
 
     @property
     def is_consistent(self) -> bool:
-        """True if the network with the selected hypotheses passes the global test and every hypothesis is certain.
+        """True if the selected hypotheses explain the misfit: the global test passes and all hypotheses are certain.
 
-        It is False for set-ups in another unit or sense of rotation, because their readings must be read again. It is
-        False for noise smaller than declared, because its outliers may be errors of the model, and for larger noise
-        with remaining outliers. It is also False for wrong reference values and for set-ups over marks, which have more
-        specific tests.
+        Exceptions are False: set-ups in another unit or sense of rotation (the recording must be read again), noise
+        smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers, and
+        wrong reference values or set-ups over marks (other tests are more specific).
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
+        quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
         omitted = any(isinstance(change, ReferenceOmission) for change in changes)
         others = omitted or any(self.fit.problem.marks.mark_names)
         doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))
@@ -205,25 +204,26 @@ def adjust_with_causes(
     subtracts_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
-    """Adjustment of a recording with identified errors (hypotheses) in its model, started at the state of a fit.
+    """Adjustment of a recording with identified errors (hypotheses) in its model, from the start state of a fit.
 
     Parameters
     ----------
     fit : NetworkFit
-        Fit that contains the hypotheses.
+        Network fit that contains the hypotheses; its state is the start state.
     recording : Recording
-        Recording as it was read.
+        Recording as it was read from its file.
     construction : GeometricErrorModel
         Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of CauseHypothesis
-        Hypotheses of the fit that the model contains. Of the shifts of readings either all or none are permitted.
+        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any of
+        the others.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracts_changes : bool
-        True to subtract the estimated shifts from the readings first. The adjustment estimates the (remaining) shifts
-        in both cases, with start values of zero if they are subtracted, otherwise with the estimates of the fit.
+        True to subtract the estimated shifts from the readings first, so that only the remaining shifts are estimated,
+        from start values of zero. Otherwise the start values are the estimates of the fit.
     **options
-        Options of `adjust_from_state`.
+        Further keyword arguments of `adjust_from_state`.
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),

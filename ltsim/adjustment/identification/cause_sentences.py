@@ -1,4 +1,4 @@
-"""Sentences on identified causes, with the sizes of the errors and their usual causes."""
+"""Sentences for the user on identified errors, with their sizes and usual causes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
@@ -19,7 +19,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_tests import ERROR_UNITS
+from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
@@ -31,7 +31,11 @@ from ltsim.recordings.times import interval_text
 def estimate_sigma_and_unit(
     hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats
 ) -> dict[str, Any]:
-    """Entries `estimate`, `sigma`, `unit` for the length of p `shift_components` (p,), `covariance` (p, p) [SI]."""
+    """Dictionary with the size of a shift of readings: `estimate`, `sigma` and `unit`.
+
+    The size is the parameter, or the length of the first three of p parameters: `shift_components` (p,) with the
+    covariance `covariance` (p, p) [SI].
+    """
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -46,13 +50,15 @@ def estimate_sigma_and_unit(
 
 
 def misclosure_and_unit(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[float, str, float]:
-    """Misclosure of an excluded reference value [SI], and the name and the size [SI] of its display unit."""
+    """Misclosure of an excluded reference value [SI], name of its display unit, and size of this unit [SI]."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
-    return misclosure, *ERROR_UNITS.get(hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE))
+    return misclosure, *ERROR_UNIT_BY_REFERENCE_KIND.get(
+        hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE)
+    )
 
 
-REFERENCE_PHRASES = {
+CAUSE_PHRASE_BY_REFERENCE_KIND = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
     "length": "The reference length",
@@ -61,27 +67,28 @@ REFERENCE_PHRASES = {
     "mark": "The set-up of",
     "scale": "The scale of",
 }
-"""First words of a sentence on a reference value, by its kind; the name of the value follows them."""
+"""First words of a sentence on a wrong reference value, by its kind; the name of the value follows them."""
 
 
 def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on an accepted hypothesis with the size of the error and its usual causes."""
+    """Sentence on a selected hypothesis, with the size of the error and its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
     return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
 
 
 def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on an accepted hypothesis that is not about centring errors."""
+    """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
-        return hypothesis.error_description
-    if isinstance(hypothesis.model_change, NoiseFactor):
+        return hypothesis.reference_name_or_sentence
+    if isinstance(hypothesis.model_change, NoiseFactorChange):
         return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
         miss, unit, factor = misclosure_and_unit(fit, hypothesis)
         plural = hypothesis.model_change.reference_value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
-        phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.error_description}"
+        words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
+        phrase = f"{words} {hypothesis.reference_name_or_sentence}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
@@ -107,7 +114,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
             f"measured it ({rows_text}): dirt in the nest, or another nest."
         )
     if hypothesis.kind == "station-drift":
-        return f"Station {place_names} moved at a constant rate during its measurement, by {size_text} in total."
+        return f"Station {place_names} moved at a constant rate during its occupation, by {size_text} in total."
     interval = _interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {place_names} was turned by {size_text} {interval}."
@@ -129,7 +136,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
 
 
 def seating_row_numbers(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[int, ...]:
-    """Row numbers, from 1, of the pointings to a badly seated reflector from the station of the hypothesis."""
+    """Row numbers, from 1, of the pointings to the badly seated reflector of a hypothesis, from its station."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     is_affected = hypothesis.model_change.effect.pointing_indicator(fit.adjustment.sightings)
     return tuple((np.flatnonzero(is_affected) + 1).tolist())
@@ -146,11 +153,14 @@ OBSERVABLE_CAUSE_TEXTS = {
     ("constant-drift", "azimuth", "station"): "the horizontal circle or the tripod head turns",
     ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
 }
-"""Usual causes of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
+"""Text on the usual cause of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
-    """Sentence on a shift of all readings of one observable; `estimate` has its size, standard deviation and unit."""
+    """Sentence on a hypothesis that all readings of one observable are shifted at a station or target.
+
+    `estimate` contains the size of the shift, its standard deviation and unit.
+    """
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
     cause = OBSERVABLE_CAUSE_TEXTS[hypothesis.kind, hypothesis.acts_on, place]
@@ -174,7 +184,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
+    """Sentence on a hypothesis of centring errors at a set-up, on a target, or everywhere, with their size."""
     assert isinstance(hypothesis.model_change, CentringChange)
     sigma = f"{_number_text(float(f'{hypothesis.model_change.centring_uncertainty.sigma_mm:.2g}'))} mm"
     size_text = f"{sigma} (standard deviation)"
@@ -191,9 +201,9 @@ def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
             f"by {size_text} along each axis: "
             f"the reflectors were not centred, or readings from {station} have errors that repeat in all rounds."
         )
-    text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
+    text = with_sigma(abs(common.length) / MILLIMETRE, common.length_sigma / MILLIMETRE, "mm")
     direction_text = "away from" if common.length > 0 else "towards"
-    cause = smr_exchange_text(common.length, common.sigma) or "another SMR or adaptor"
+    cause = smr_exchange_text(common.length, common.length_sigma) or "another SMR or adaptor"
     return (
         f"At {station} the centres of the SMRs are all displaced by {text}, {direction_text} their nests: {cause}. "
         "Declare the normals of the nests (nest_normal), so that the displacement is estimated along these normals."
@@ -201,7 +211,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _interval_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Text of the times and row numbers of the two pointings between which an error began."""
+    """Text with the times and row numbers of the two pointings between which the error of a hypothesis began."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
@@ -218,5 +228,5 @@ def _interval_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _number_text(value: float) -> str:
-    """Text of a number with four significant digits, without exponent."""
+    """Number as text with four significant digits and without exponent."""
     return f"{float(f'{value:.4g}'):.12g}"

@@ -1,4 +1,4 @@
-"""List of tests in every result: identified errors and outliers, with their sizes and probabilities."""
+"""List `tests` in every result file: identified errors and outliers, with their sizes and probabilities."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CauseKind,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -33,27 +33,27 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 
 class CausePlace(Entry):
-    """Stations and targets at which an error acts; an empty list stands for all."""
+    """Stations and targets where an error acts."""
 
     stations: tuple[str, ...] = ()
-    """Names of the stations."""
+    """Names of the stations; empty for all."""
     targets: tuple[str, ...] = ()
-    """Names of the targets."""
+    """Names of the targets; empty for all."""
 
 
 class AlternativeCause(Entry):
-    """Hypothesis that was fitted in place of an accepted hypothesis, for comparison."""
+    """Alternative hypothesis that was fitted in place of a selected hypothesis, for comparison."""
 
     kind: str
     """Kind of the alternative error, with the same values as `CauseTest.kind`."""
     where: CausePlace
-    """Stations or targets at which the alternative error acts."""
+    """Stations or targets where the alternative error acts."""
     probability: Finite
-    """Posterior probability of the alternative."""
+    """Posterior probability of the alternative hypothesis."""
 
 
 class CauseTest(Entry):
-    """Test of a hypothesis about an error, in the network with all accepted hypotheses."""
+    """Test of a hypothesis on one error, in the network with all selected hypotheses."""
 
     kind: str
     """Kind of the error: `outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump` and so on."""
@@ -61,34 +61,34 @@ class CauseTest(Entry):
     """Quantity that the error changes: an observable, `position` (of a target or station), a kind of reference value,
     or `noise`."""
     where: CausePlace
-    """Stations or targets at which the error acts."""
+    """Stations or targets where the error acts."""
     statistic: Finite
-    """Test statistic: decrease of chi-square; for noise and blunders twice the gain of log evidence."""
+    """Test statistic: decrease of chi-square by the hypothesis; for noise and blunders twice the gain of log
+    evidence."""
     dof: int
-    """Number of tested components."""
+    """Degrees of freedom of `statistic`: number of components of the error."""
     p_value: OptionalFloat = None
-    """p-value of `statistic`, not corrected for the number of tests."""
+    """p-value of `statistic`, not corrected for the number of tests; null for noise, blunders and centring errors."""
     estimate: OptionalFloat = None
-    """Estimated size of the error, in `unit`."""
+    """Estimated size of the error, in `unit`; for noise the factor on the declared noise."""
     sigma: OptionalFloat = None
-    """Standard deviation of the estimate."""
+    """Standard deviation of the estimate, in `unit`."""
     unit: str = ""
     """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
     """Affected rows of the recording, from 1; empty for more than 20 rows."""
     probability: OptionalFloat = None
-    """Posterior probability of the hypothesis, where the alternatives and the absence of an error are the other
-    cases."""
+    """Posterior probability of the hypothesis, compared with its alternatives and with no error."""
     alternatives: tuple[AlternativeCause, ...] = ()
     """Hypotheses that were fitted in place of the tested hypothesis and have a posterior probability above 1 %."""
     accepted: bool = True
-    """True if the hypothesis is part of the model of the result."""
+    """True if the hypothesis is selected, so that it is part of the model of the result."""
     sentence: str = ""
     """Result of the test as a sentence."""
 
     @property
     def is_fault(self) -> bool:
-        """True for an accepted cause that a user must act on: all but noise smaller than declared."""
+        """True for a selected hypothesis that requires an action of the user: all but noise smaller than declared."""
         return self.accepted and not (self.kind == "noise-level" and (self.estimate or 0.0) <= 1.0)
 
 
@@ -97,13 +97,16 @@ MAX_LISTED_OUTLIERS = 20
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
-    """Tests of the selected hypotheses, the most certain first, followed by tests of the outliers."""
+    """Tests of the selected hypotheses in their order, followed by tests of the outliers."""
     fit = selection.fit
-    return (*(_accepted_test(fit, choice) for choice in selection.selected_hypotheses), *_outlier_tests(fit))
+    return (
+        *(_test_of_selected_hypothesis(fit, choice) for choice in selection.selected_hypotheses),
+        *_outlier_tests(fit),
+    )
 
 
-def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
-    """Test of one of the selected hypotheses of a fit."""
+def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
+    """Entry of the list of tests for one selected hypothesis of a fit."""
     h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
     drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, INFINITE_GAIN_SUBSTITUTE), 0.0), 1
@@ -112,16 +115,16 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
         size_entries = estimate_sigma_and_unit(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
-        rank = len(h.model_change.reference_value.sigma)
+        rank = len(h.model_change.reference_value.declared_sigmas)
         miss, unit, factor = misclosure_and_unit(fit, h)
         size_entries = {"estimate": miss / factor, "unit": unit}
-    elif isinstance(h.model_change, NoiseFactor):
+    elif isinstance(h.model_change, NoiseFactorChange):
         size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate_and_covariance(h)[0])
         size_entries = {"estimate": h.model_change.centring_uncertainty.sigma_mm, "unit": "mm"}
         if (common := fit.common_displacement_length(h)) is not None:
-            size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
+            size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.length_sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
@@ -152,14 +155,17 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
 
 
 def reported_kind(fit: NetworkFit, hypothesis: CauseHypothesis) -> CauseKind:
-    """Kind under which a hypothesis is reported; displacements of equal length are reported as another SMR radius."""
+    """Kind under which a hypothesis is reported: centring errors of equal length are reported as another SMR radius."""
     if fit.common_displacement_length(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
 
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
-    """Tests of the rejected readings against their predictions by all readings in use, the largest residual first."""
+    """Entries of the list of tests for rejected readings (outliers), the largest residual first.
+
+    Each rejected reading is compared with its prediction by the readings in use.
+    """
     recording, tests = fit.recording, list[CauseTest]()
     indices = np.argwhere(fit.is_outlier)
     indices = indices[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
@@ -167,7 +173,7 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
         prediction_sigma = fit.outlier_prediction_error_sigmas[i, k]
-        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * prediction_sigma)
+        value, sigma = float(fit.residuals[i, k]), float(fit.problem.reading_sigmas[i, k] * prediction_sigma)
         drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
@@ -199,7 +205,7 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 
 
 def _probability_of_moved_target(fit: NetworkFit, row: int, chi2_drop: float) -> float:
-    """Posterior probability that an outlier (pointing index `row`) is a motion of its target.
+    """Posterior probability that the outlier with the pointing index `row` is caused by a motion of its target.
 
     `chi2_drop` is the decrease of chi-square by the rejection of the outlier. The probability is 0 unless the outlier
     is the last pointing to its target, because later pointings would show the motion.

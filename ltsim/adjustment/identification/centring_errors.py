@@ -1,8 +1,9 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the columns of unit
-displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
-residuals r and the scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
+Each component of the displacement at an occupation (a reflector set on a target for a time) has the prior N(0, s^2).
+Z is the matrix of whitened changes by unit displacements, projected onto the residual space; d_j and V are the
+eigenvalues and eigenvectors of Z'Z. With the whitened residuals r and the scores z = V'Z'r, the log restricted
+likelihood ratio of the variance component s^2 is
 
     log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
 
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.identification.evidence import (
-    LOG_ODDS_OF_CENTRING,
+    LOG_PRIOR_ODDS_OF_CENTRING,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of_kind,
@@ -40,25 +41,28 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT = 0.25
-"""Fraction of outliers among the pointings of a set-up or target, above which displacements are also fitted to these
-pointings with the rest of the network unchanged."""
+"""Fraction of outliers among the pointings of a set-up or target, above which its centring errors are also estimated
+with the rest of the network unchanged (because the readings with large centring errors are rejected as outliers)."""
 CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
-"""Grid of standard deviations [m] of centring errors at which the likelihood is computed, in steps of 6 %. Smaller
-steps are not necessary: an estimate from a hundred components has a relative standard deviation of 7 %."""
+"""Standard deviations [m] of centring errors at which their likelihood is computed, in steps of 6 %. Smaller steps are
+not necessary: an estimate from a hundred components has a relative standard deviation of 7 %."""
 
 
 @dataclass(frozen=True)
 class _CentringPlace:
-    """Place at which centring errors are tested: a set-up, a target, or all set-ups."""
+    """Stations and targets where centring errors are tested: one set-up, one target, or all set-ups."""
 
     centring_uncertainty: CentringUncertainty
-    """Stations and targets with centring errors."""
+    """Declaration of the centring errors, with their stations and targets and a provisional standard deviation."""
     occupation_indices: Ints
-    """Index (n,) of the occupation to which each of n pointings belongs; -1 for other pointings."""
+    """Index (n,) of the occupation to which each of n pointings belongs; -1 for pointings that are not tested."""
 
 
 def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, CauseHypothesis]]:
-    """Hypotheses of centring errors, each preceded by its gain of log evidence in the linear approximation at a fit."""
+    """Hypotheses of centring errors, each preceded by its gain of log evidence in a linear approximation at a fit.
+
+    `residual_space` is the residual space of the fit.
+    """
     places = _centring_places(fit.recording, residual_space.is_used_reading)
     squares = np.zeros(residual_space.is_used_reading.shape)
     squares[residual_space.is_used_reading] = (
@@ -81,12 +85,12 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
 def _log_evidence_gain_and_hypothesis(
     place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
 ) -> tuple[float, CauseHypothesis]:
-    """Gain of log evidence by centring errors at a place, including their prior probability, and the hypothesis.
+    """Gain of log evidence by centring errors at the stations and targets `place`, and the hypothesis.
 
     `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
-    displacements, and `n_places` the number of places that share the prior probability.
+    displacements, and `n_places` the number of set-ups and targets that share the prior probability.
     """
-    centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
+    centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_PRIOR_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
     return log_likelihood_ratio + prior, CauseHypothesis(
@@ -97,9 +101,9 @@ def _log_evidence_gain_and_hypothesis(
 def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothesis]]:
     """Hypotheses of large centring errors, each preceded by its gain of log evidence.
 
-    The effect of large displacements is not linear, and the affected readings were rejected as outliers. The
-    displacements are therefore fitted to all readings of a set-up or target, with the rest of the network unchanged.
-    Only set-ups and targets with many outliers are tested.
+    The effect of large displacements is not linear, and the affected readings were rejected as outliers. Displacements
+    are therefore fitted to all readings of a set-up or target, with the rest of the network unchanged. Only set-ups and
+    targets with many outliers are tested.
     """
     places = _centring_places(fit.recording, fit.problem_with_all_readings.is_used_reading)
     offers = []
@@ -115,13 +119,12 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothe
 
 
 def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
-    """Gain of log evidence by displacements of the reflectors at a place, and their standard deviation [m].
+    """Gain of log evidence by displacements of reflectors, and their standard deviation [m], for a set-up or target.
 
-    `rows` are the pointings at the place. A displacement for each occupation is fitted to these pointings by
-    Gauss-Newton iterations. At a set-up the common rigid motion of all reflectors is removed, because the pose of the
-    set-up absorbs it.
+    A displacement for each occupation is fitted to the pointings `rows` at `place` by Gauss-Newton iterations. At a
+    set-up the common rigid motion of all reflectors is removed, because the pose of the set-up absorbs it.
     """
-    used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.sigma[rows]
+    used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.reading_sigmas[rows]
     sightings = fit.adjustment.sightings
     _, first, of = np.unique(place.occupation_indices[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
@@ -157,21 +160,18 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
 
 
 def _negative_log_evidence(fit: NetworkFit, whitened_residuals: Floats) -> float:
-    """Negative log evidence of the whitened residuals (r,) of r readings.
-
-    Each residual counts as noise or as an outlier, whichever is more likely.
-    """
+    """Negative log evidence of whitened residuals (r,), each being noise or an outlier, whichever is likelier."""
     prior = log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum()))
     outlier = -log_occam_factor_of_shift(np.abs(whitened_residuals), 1) - prior
     return float(np.minimum(0.5 * whitened_residuals**2, outlier).sum())
 
 
 def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_CentringPlace]:
-    """Places with enough repeated pointings for a test: set-ups, targets, and all set-ups together.
+    """Set-ups, targets, and all set-ups together, if they have enough repeated pointings for a test of centring errors.
 
     Targets that only one set-up measures are left out, because they do not show displacements. For all set-ups together
-    the repeated pointings must be in the same face; otherwise displacements would fit any unmodelled error that is the
-    same in both faces.
+    the repeated pointings must be in one face; otherwise displacements would fit any unmodelled error that is equal in
+    both faces.
     """
     is_used = np.asarray(is_used_reading.any(axis=1))
     target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
@@ -189,8 +189,8 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
     return places
 
 
-class CentringEstimate(NamedTuple):
-    """Maximum likelihood estimate of the standard deviation of centring errors."""
+class CentringSigmaEstimate(NamedTuple):
+    """Restricted maximum likelihood estimate of the standard deviation of centring errors."""
 
     log_evidence_gain: float
     """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
@@ -202,8 +202,8 @@ class CentringEstimate(NamedTuple):
     """
 
 
-def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringEstimate:
-    """Maximum likelihood estimate of the standard deviation of centring errors.
+def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringSigmaEstimate:
+    """Restricted maximum likelihood estimate of the standard deviation of centring errors.
 
     `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
     """
@@ -217,4 +217,4 @@ def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints)
     best = int(np.argmax(ratio))
     determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
     gain = float(ratio[best] + log_occam_factor_of_variance(determined))
-    return CentringEstimate(gain, float(CENTRING_SIGMA_GRID[best]), determined)
+    return CentringSigmaEstimate(gain, float(CENTRING_SIGMA_GRID[best]), determined)

@@ -1,8 +1,9 @@
-"""Displacements of equal length: another reflector radius at a set-up, with unknown normals of the nests.
+"""Test whether displacements of reflectors at a set-up have equal lengths, as after the use of another SMR radius.
 
-A reflector of another radius displaces all targets of a set-up by the same length L along the normals of their nests.
-With k unknown normals, uniformly distributed in direction, and the scatter t of the lengths, the log likelihood ratio
-of such displacements against random ones with the standard deviation L / sqrt(3) of each component is
+A reflector of another radius displaces all targets of a set-up by the same length L along the normals of their nests,
+which are unknown here. For k targets with normals uniformly distributed in direction, and the scatter t of the lengths,
+the log likelihood ratio of such displacements against random ones with the standard deviation L / sqrt(3) of each
+component is
 
     k [1 + log(L / (6 sqrt(3) t))].
 """
@@ -21,32 +22,32 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
 """Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
 MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
-"""Ratio of the estimated common length to the rms length of the displacements, from which on the estimate is rejected,
-because any small displacements lie nearly on the surface of a much larger sphere.
+"""Ratio of the estimated common length of displacements to their rms length, from which on the estimate is rejected.
+Any small displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_COMMON_LENGTH = 10
-"""Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the
-length.
+"""Smallest number of targets for the estimate of a common length of displacements. The estimate has seven unknowns: the
+length and the pose of the set-up.
 """
 
 
 class CommonDisplacementLength(NamedTuple):
-    """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
+    """Common length of the displacements of all reflectors at a set-up, each along the unknown normal of its nest."""
 
     length: float
     """Length [m], positive away from the nests. A nest is assumed to be behind its target as seen from the set-up."""
-    sigma: float
+    length_sigma: float
     """Standard deviation of the length [m]."""
     log_evidence_gain: float
-    """Gain of log evidence against random displacements, at least 0."""
+    """Gain of log evidence against displacements of random lengths, at least 0."""
 
 
 def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> CommonDisplacementLength | None:
     """Common length of displacements (k, 3) [m] of k reflectors at a set-up; None if the lengths differ.
 
-    The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
-    motion is estimated together with the length. The start values neglect the rotation of the motion: displacements of
-    equal length then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
+    The displacements are determined except for a rigid motion, which the pose of the set-up absorbs. This motion is
+    estimated together with the length. The start values are those without rotation: displacements of equal length then
+    lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
     """
     if len(displacements) < MIN_TARGETS_FOR_COMMON_LENGTH:
         return None

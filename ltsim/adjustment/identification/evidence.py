@@ -1,8 +1,8 @@
-"""Log evidence of errors of unknown size, and prior odds of their kinds.
+"""Log evidence of errors of unknown size, and prior probabilities of their kinds.
 
-A shift with p components has a prior that is uniform in its direction and in the logarithm of its size (Jeffreys), over
-`SHIFT_SIZE_DECADES` decades. With w the length of the estimate in its standard deviations, Laplace's method gives the
-logarithm of the marginal likelihood ratio against no shift,
+A shift of readings with p components has a prior that is uniform in its direction and in the logarithm of its size
+(Jeffreys), over `SHIFT_SIZE_DECADES` decades. With w the length of the estimate in its standard deviations, Laplace's
+method gives the logarithm of the marginal likelihood ratio (Bayes factor) against no shift,
 
     log B = w^2 / 2 - p log w + (p / 2) log(2 pi) - log S_p - log R.
 
@@ -22,15 +22,17 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 SHIFT_SIZE_DECADES = 6.0
-"""Width, in decades, of the prior distribution of the size of a shift: sizes from 10 um to 10 m are possible."""
+"""Width, in decades, of the prior distribution of the size of a shift of readings: 10 um to 10 m are possible."""
 LOG_OF_LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
-"""Term log R of the evidence of a shift, where R is the natural logarithm of the ratio of largest to smallest size."""
+"""Term log R of the log evidence of a shift of readings. R is the width of the prior of the natural logarithm of its
+size."""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
-    """Logarithm (at most 0) of the Occam factor of shifts with `rank` components, same shape as `normalised_size`.
+    """Logarithms (at most 0) of the Occam factors of shifts of readings with `rank` components.
 
-    `normalised_size` is the length of each estimated shift, in standard deviations of the estimate.
+    `normalised_size` is the length of each estimated shift, in standard deviations of the estimate; the result has its
+    shape.
     """
     size = np.maximum(np.asarray(normalised_size, dtype=np.float64), np.sqrt(rank))
     log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
@@ -40,20 +42,20 @@ def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Flo
 
 
 NOISE_FACTOR_HALF_WIDTH_DECADES = 2.0
-"""Half-width, in decades, of the prior distribution of a factor on the declared noise: 0.01 to 100 are possible."""
+"""Half-width, in decades, of the prior distribution of a factor on the declared noise: factors of 0.01 to 100."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
-    """Logarithm (at most 0) of the Occam factor of a variance factor estimated with the given redundancy."""
+    """Logarithm (at most 0) of the Occam factor of a variance factor, estimated from residuals with `redundancy`."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_HALF_WIDTH_DECADES * np.log(10.0))), 0.0)
 
 
-def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
-    """Restricted maximum likelihood estimates (g,) of factors on the standard deviations of g groups of readings.
+def estimate_noise_factors_of_groups(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+    """Factors (g,) on the noise of g groups of readings, by restricted maximum likelihood, and their gains (g,).
 
-    The second array (g,) contains the log likelihood ratio of each estimate to the declared noise. The arguments are
-    the weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
+    A gain is the log likelihood ratio of the estimated factor to the declared noise. The arguments are the
+    weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
@@ -64,18 +66,18 @@ def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
-NOISE_SWEEP_TOLERANCE = 0.01
-"""Largest relative change of a noise factor at which the iteration over the factors ends. The relative standard
-deviation of a factor is larger than this if it is estimated from less than 5,000 readings. """
+RELATIVE_NOISE_FACTOR_TOLERANCE = 0.01
+"""Relative change of noise factors below which their iteration ends. The relative standard deviation of a factor is
+larger than this if it is estimated from fewer than 5,000 readings."""
 
 
 def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, reading_masks: Sequence[Bools]) -> Floats:
-    """Factors (n, 3) on the standard deviations of the readings of n pointings: product of one factor per mask.
+    """Factors (n, 3) on the standard deviations of the readings of n pointings, as products of one factor per mask.
 
-    One factor is estimated for the readings of each of the `reading_masks` (n, 3). Factors of masks that share readings
-    are estimated in turn, each with the others held fixed, until they no longer change.
-    `squared_residuals` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the
-    redundancy numbers; both are 0 for readings not in use.
+    Each of the `reading_masks` (n, 3) flags the readings of one factor. Factors of overlapping masks are estimated in
+    turn, each with the other factors fixed, until they no longer change. `squared_residuals` (n, 3) are the squared
+    residuals in units of the declared variance, `redundancy` (n, 3) the redundancy numbers; both are 0 for readings
+    that are not in use.
     """
     log_factors, factors = np.zeros(len(reading_masks)), np.ones(squared_residuals.shape)
     for _ in range(MAX_ITERATIONS):
@@ -83,19 +85,19 @@ def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, readin
         for i, mask in enumerate(reading_masks):
             others = np.where(mask, factors * np.exp(-log_factors[i]), factors)
             sums = np.array([np.sum((squared_residuals / others**2)[mask]), np.sum(redundancy[mask])])
-            (factor,), _ = estimate_sigma_factors(sums[:1], sums[1:])
+            (factor,), _ = estimate_noise_factors_of_groups(sums[:1], sums[1:])
             log_factors[i] = np.log(factor)
             factors = np.where(mask, others * factor, others)
-        if not np.abs(log_factors - before).max() > NOISE_SWEEP_TOLERANCE:
+        if not np.abs(log_factors - before).max() > RELATIVE_NOISE_FACTOR_TOLERANCE:
             break
     return factors
 
 
 def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
-    """Logarithm of the Occam factor of q displacement components with the prior N(0, `sigma`^2), `sigma` in m.
+    """Logarithm of the Occam factor of centring errors: q displacement components with the prior N(0, `sigma`^2) [m].
 
-    `covariance` (q, q) [m^2] is the posterior covariance of the displacements. The Occam factor of the displacements is
-    the square root of the ratio of posterior to prior determinant; a second factor is due to the estimation of sigma.
+    `covariance` (q, q) [m^2] is their posterior covariance. The Occam factor of the displacements is the square root of
+    the ratio of posterior to prior determinant; a second factor is due to the estimation of `sigma`.
     """
     relative = np.linalg.eigvalsh(covariance) / sigma**2
     determined = float(np.sum(np.maximum(1.0 - relative, 0.0)))
@@ -103,7 +105,7 @@ def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
     return 0.5 * determinant + float(log_occam_factor_of_variance(determined))
 
 
-PRIOR_PROBABILITY_BY_KIND = {
+PRIOR_PROBABILITY_BY_CAUSE_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
     "constant-step": 0.03,
@@ -123,20 +125,20 @@ PRIOR_PROBABILITY_BY_KIND = {
     "noise-level": 0.05,
     "centring": 0.02,
 }
-"""Prior probability of each kind of cause, given that there is an error. All stations, targets or readings at which the
-kind is possible share this probability equally.
+"""Prior probability of each kind of cause, given that a network contains an error. All stations, targets or readings
+where the kind is possible share this probability equally.
 """
 
 
-LOG_ODDS_OF_CENTRING = -30.0
-"""Logarithm of the prior odds of centring errors against other causes of misfit.
+LOG_PRIOR_ODDS_OF_CENTRING = -30.0
+"""Logarithm of the prior odds of centring errors against other causes of a misfit.
 
-Centring errors are selected only if their log evidence exceeds the log evidence of other causes by 30. Displacements of
-many targets fit any smooth unmodelled error, so that only about a tenth of the gain of log evidence is real. Other
-hypotheses need the same gain if the noise of all readings is larger than declared, which indicates such an error.
+Centring errors are selected only if their log evidence exceeds that of other causes by 30. Displacements of many
+targets fit any smooth unmodelled error, so that only about a tenth of their gain of log evidence is real. If the noise
+of all readings is larger than declared, which indicates an unmodelled error, other hypotheses need the same gain.
 """
 
 
 def log_prior_of_kind(kind: str, n_places: int) -> float:
-    """Logarithm of the prior probability of a kind of cause at one of `n_places` stations, targets or readings."""
-    return float(np.log(PRIOR_PROBABILITY_BY_KIND[kind] / max(n_places, 1)))
+    """Logarithm of the prior probability of a kind of cause at one of the `n_places` stations, targets or readings."""
+    return float(np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND[kind] / max(n_places, 1)))

@@ -1,4 +1,4 @@
-"""Robust fit of a network with hypotheses in its model, and its log evidence."""
+"""Robust fit of a network with hypotheses on its errors in the model, and log evidence of the fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -58,13 +58,13 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution, solve
 
 MAX_NOISE_ITERATIONS = 3
-"""Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
+"""Largest number of iterations for noise factors, or standard deviations of centring errors, in one network fit."""
 NOISE_FACTOR_TOLERANCE = 0.05
-"""Largest relative change of noise factors at which their iteration ends. Such a change alters log evidence by 0.1."""
+"""Relative change of noise factors below which their iteration ends; it changes the log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH = 0.2
-"""Relative change of the noise factors above which outliers are searched again."""
+"""Relative change of noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
-"""Standard deviation of the prior of a shift, divided by the plausible size of its effect: practically no prior."""
+"""Standard deviation of the prior of a shift of readings, divided by its plausible size: practically no prior."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,11 @@ class FitInput:
     """Input of a network fit: the recording and the geometric error model of its trackers."""
 
     recording: Recording
-    """Recording as it was read."""
+    """Recording as it was read from its file."""
     construction: GeometricErrorModel
-    """Geometric error model whose parameters are estimated."""
+    """Geometric error model of the tracker, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument's parameters; None for the prior that the set-up declares."""
+    """Prior of the instrument parameters; None for the prior that the set-up declares."""
     is_usable_reading: Bools | None = None
     """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
@@ -86,13 +86,13 @@ class NetworkFit:
     """Network fitted with some hypotheses in its model; readings that contradict the model are rejected as outliers."""
 
     fit_input: FitInput
-    """Input of the fit."""
+    """Recording, geometric error model and prior of the fit."""
     hypotheses: tuple[CauseHypothesis, ...]
-    """Hypotheses in the model."""
+    """Hypotheses on errors that the model of the fit contains."""
     problem_with_all_readings: NetworkProblem
-    """Least-squares problem with all usable readings."""
+    """Least-squares problem of the fit with all usable readings, also outliers."""
     problem: NetworkProblem
-    """Least-squares problem without the outliers."""
+    """Least-squares problem of the fit without the outliers."""
     solution: Solution[NetworkState]
     """Solution of `problem`."""
 
@@ -102,15 +102,16 @@ class NetworkFit:
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
-        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. An adjustment with such a
-        reference value would distort the whole network.
+        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. Such a reference value would
+        distort the whole network in an adjustment.
         """
         problem, start = cls._make_problem(fit_input, hypotheses)
         relaxed_problem = with_nonzero_reference_sigmas(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_SIGMAS_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
+        large = [v for v in references if float(np.abs(residual[v.equation_indices]).max()) > limit]
+        return large, len(references), state
 
     @classmethod
     def from_start(
@@ -121,10 +122,10 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
-        """Network fit with hypotheses; None if the fit does not converge or does not determine a shift.
+        """Network fit with hypotheses in its model; None if it does not converge or a shift is not significant.
 
-        The fit starts at `start_state`, by default at `robust_state`, the state of a robust fit, which is computed if
-        it is None. With `approximate_sightings` the start values of the shifts are first subtracted from the readings.
+        The fit starts at `start_state`, by default at `robust_state` (the state of a robust fit, which is computed if
+        None). With `approximate_sightings` the start values of the shifts are subtracted from the readings first.
         """
         fit = cls._with_hypotheses(fit_input, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ITERATIONS):
@@ -143,7 +144,7 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit:
-        """Fit as in `from_start`, but with fixed standard deviations of centring errors, those in the hypotheses."""
+        """Fit as by `from_start`, but with the standard deviations of centring errors fixed as in the hypotheses."""
         is_first = start_state is None
         problem, start_state = cls._make_problem(fit_input, hypotheses, start_state, approximate_sightings)
         if is_first:
@@ -151,25 +152,25 @@ class NetworkFit:
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
         fit = cls(fit_input, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_DECISION_CHANGES))
-        if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
+        if any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
 
     @property
     def _determines_shifts(self) -> bool:
-        """True if every estimated shift is larger than `MAX_CHANCE_SIGMAS` of its standard deviations."""
+        """True if every estimated shift of readings exceeds `MAX_CHANCE_SIGMAS` of its standard deviations."""
         return all(self.estimate_length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[CauseHypothesis, ReadingShiftChange, slice]]:
-        """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
+        """Hypotheses on shifts of readings, each with its model change and the slice of its parameters in the state."""
         start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
                 yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
     def estimate_and_covariance(self, hypothesis: CauseHypothesis) -> tuple[Floats, Floats]:
-        """Estimate (p,) and covariance (p, p) [SI] of the p parameters of a hypothesis: a shift or centring errors."""
+        """Estimate (p,) and covariance (p, p) [SI] of the p parameters of a shift of readings or of centring errors."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
         slices += zip(reversed(centrings), reversed(self.problem.model.centring_parameter_slices), strict=False)
@@ -177,7 +178,7 @@ class NetworkFit:
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
     def common_displacement_length(self, hypothesis: CauseHypothesis) -> CommonDisplacementLength | None:
-        """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
+        """Common length of the displacements of a hypothesis of centring errors at one set-up; None if they differ."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None
@@ -187,7 +188,7 @@ class NetworkFit:
         return common_displacement_length(displacements, sight_vectors)
 
     def estimate_length_in_sigmas(self, hypothesis: CauseHypothesis) -> float:
-        """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
+        """Length of the estimate of a shift or of centring errors in its standard deviations (Mahalanobis distance)."""
         values, covariance = self.estimate_and_covariance(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
 
@@ -198,7 +199,7 @@ class NetworkFit:
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
-        """Least-squares problem with all usable readings, and start state; the parameters are those of `from_start`."""
+        """Least-squares problem with all usable readings, and its start state; arguments as for `from_start`."""
         recording = apply_corrections_and_omissions(fit_input.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start_state is None:
@@ -221,7 +222,7 @@ class NetworkFit:
         usable = np.ones((len(recording), 3), dtype=bool) if (mask := fit_input.is_usable_reading) is None else mask
         sigma = recording.reading_sigmas()
         for h in hypotheses:
-            if isinstance(h.model_change, NoiseFactor):
+            if isinstance(h.model_change, NoiseFactorChange):
                 sigma = np.where(h.model_change.reading_mask, sigma * h.model_change.start_factor, sigma)
         problem = NetworkProblem.from_model(
             model,
@@ -238,10 +239,11 @@ class NetworkFit:
         fit = self
         for _ in range(MAX_NOISE_ITERATIONS):
             sigma = fit._estimated_sigmas()
-            changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
+            changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.reading_sigmas))))
             if not changed > NOISE_FACTOR_TOLERANCE:
                 break
-            whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
+            whole = replace(fit.problem_with_all_readings, reading_sigmas=sigma)
+            problem = replace(fit.problem, reading_sigmas=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH:
                 problem, solution = snoop_readings(whole, fit.state, MAX_DECISION_CHANGES)
@@ -252,11 +254,11 @@ class NetworkFit:
         """Standard deviations (n, 3) [m, rad, rad] of n pointings: declared ones times estimated noise factors."""
         declared, is_used = self.fit_input.recording.reading_sigmas(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
-        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
+        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactorChange)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
     def residuals_of_recording(self, recording: Recording) -> Floats:
-        """Readings (n, 3) of `recording`, which has the same n pointings, minus predicted readings [m, rad, rad]."""
+        """Residuals (n, 3) [m, rad, rad] of another recording of the same n pointings, from predictions by this fit."""
         gap = recording.readings - self.problem.model.predict(self.state)
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
@@ -268,18 +270,18 @@ class NetworkFit:
 
     @cached_property
     def adjustment(self) -> Adjustment:
-        """Network adjustment with the problem and the solution of the fit."""
+        """Fit as an `Adjustment`, with its tests and covariances."""
         out = self.recording.is_measured.any(axis=1) & ~self.problem.is_used_reading.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property
     def recording(self) -> Recording:
-        """Recording with corrected rows and without excluded reference values, according to the hypotheses."""
+        """Recording with corrected pointings and without excluded reference values, according to the hypotheses."""
         return self.problem.model.recording
 
     @property
     def effects(self) -> tuple[LinearEffect, ...]:
-        """Effects of the shifts in the model, each with a plausible size that is at least as large as its estimate."""
+        """Effects of the shifts in the model, each with a plausible size at least as large as its estimate."""
         effects = list[LinearEffect]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.plausible_sizes))
@@ -287,10 +289,10 @@ class NetworkFit:
         return tuple(effects)
 
     def correct_recording(self, recording: Recording, keeps_outliers: bool = False) -> Recording:
-        """Recording corrected for the hypotheses in the model, with its outliers only if `keeps_outliers` is True.
+        """Copy of `recording`, corrected for the hypotheses; outliers are deleted unless `keeps_outliers` is True.
 
-        Wrongly recorded rows are corrected, shifts are subtracted, the declared noise is multiplied by the estimated
-        noise factors, and excluded reference values are removed.
+        Wrongly recorded pointings are corrected, shifts are subtracted, the declared noise is multiplied by the
+        estimated noise factors, and excluded reference values are removed.
         """
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts_with_slices:
@@ -300,9 +302,9 @@ class NetworkFit:
         corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
-        if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
+        if not any(isinstance(h.model_change, NoiseFactorChange) for h in self.hypotheses):
             return corrected_recording
-        sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        sigma = self.problem.reading_sigmas / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
         return corrected_recording.replace(covariates={**corrected_recording.covariates, **columns})
 
@@ -314,9 +316,8 @@ class NetworkFit:
     @cached_property
     def whitened_residuals(self) -> Floats:
         """Residuals (n, 3) of n pointings divided by the standard deviations of readings; 0 for unusable readings."""
-        return np.where(
-            self.problem_with_all_readings.is_used_reading, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
-        )
+        whitened = np.nan_to_num(self.residuals / self.problem.reading_sigmas)
+        return np.where(self.problem_with_all_readings.is_used_reading, whitened, 0.0)
 
     @property
     def redundancy(self) -> Floats:
@@ -330,7 +331,7 @@ class NetworkFit:
 
     @cached_property
     def outlier_prediction_error_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) of rejected readings minus their predictions; 1 for other readings of n pointings.
+        """Standard deviations (n, 3) of the prediction errors of rejected readings of n pointings, 1 for other ones.
 
         The unit is the declared standard deviation of the reading.
         """
@@ -340,7 +341,7 @@ class NetworkFit:
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of q components of an excluded value; 0 at a set-up with all readings rejected."""
+        """Misclosure (q,) [m, rad] of q components of an excluded reference value; 0 at a set-up without readings."""
         declared, centring = self.fit_input.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
@@ -351,19 +352,17 @@ class NetworkFit:
             return np.asarray(self.state.station_positions[station] - over[station])
         references = (*reference_values(problem, self.state), *common_scale_reference(problem, self.state))
         same = (v.residual for v in references if (v.kind, v.name) == (value.kind, value.name))
-        return next(same, np.zeros_like(value.sigma))
+        return next(same, np.zeros_like(value.declared_sigmas))
 
     @property
     def is_gross_reading(self) -> Bools:
-        """Flags (n, 3) of readings of n pointings whose residuals displace a point by more than `MAX_TRACKER_ERROR`."""
-        return (
-            np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
-            > MAX_TRACKER_ERROR
-        )
+        """Flags (n, 3) of n pointings, True for readings whose residual is a displacement above `MAX_TRACKER_ERROR`."""
+        displacements = np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
+        return displacements > MAX_TRACKER_ERROR
 
     @cached_property
     def outlier_log_evidence(self) -> float:
-        """Contribution of all outliers to the log evidence: logarithms of their Occam factors and prior odds."""
+        """Contribution of all outliers to the log evidence: logarithms of Occam factors and prior probabilities."""
         w = np.abs(self.whitened_residuals[self.is_outlier])
         return float(np.sum(log_occam_factor_of_shift(w, 1))) + len(w) * log_prior_of_kind(
             "outlier", int(self.problem_with_all_readings.is_used_reading.sum())
@@ -371,20 +370,20 @@ class NetworkFit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Log marginal likelihood up to a constant: chi-square, Occam factors and priors of hypotheses and outliers."""
+        """Log evidence (log marginal likelihood up to a constant): chi-square, Occam factors, prior probabilities."""
         log_evidence_sum = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
         return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: CauseHypothesis) -> float:
-        """Log Occam factor of a hypothesis in the model; for a noise factor plus the change of the log determinant."""
+        """Log Occam factor of a hypothesis, for changed noise including the log determinant of the changed weights."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
             return float(
                 log_occam_factor_of_shift(self.estimate_length_in_sigmas(hypothesis), len(change.effect.parameters))
             )
-        if isinstance(change, NoiseFactor):
+        if isinstance(change, NoiseFactorChange):
             chosen = change.reading_mask & self.problem.is_used_reading
-            ratio = self.problem.sigma[chosen] / self.fit_input.recording.reading_sigmas()[chosen]
+            ratio = self.problem.reading_sigmas[chosen] / self.fit_input.recording.reading_sigmas()[chosen]
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
@@ -395,6 +394,6 @@ class NetworkFit:
             return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
-            in_sigmas = self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)
-            return float(log_occam_factor_of_shift(float(np.linalg.norm(in_sigmas)), len(value.sigma)))
+            in_sigmas = self.misclosure_of(value) / np.where(value.declared_sigmas > 0, value.declared_sigmas, np.inf)
+            return float(log_occam_factor_of_shift(float(np.linalg.norm(in_sigmas)), len(value.declared_sigmas)))
         return 0.0

@@ -1,4 +1,4 @@
-"""Hypotheses on errors of a network: kind, stations and targets, prior probability, and change of the model."""
+"""Hypotheses on errors of a network: kind of error, where it acts, prior probability, and change of the model."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ CauseKind = Literal[
     "noise-level",
     "centring",
 ]
-"""Kind of a cause of a disagreement between readings and model."""
+"""Kind of a cause of a misfit, that is of a disagreement between readings and model."""
 
 
 @dataclass(frozen=True)
 class ReadingShiftChange:
-    """Shift of readings by an effect whose parameters are estimated."""
+    """Change of the model by an effect that shifts readings, and whose parameters are estimated."""
 
     effect: LinearEffect
-    """Effect that shifts the readings."""
+    """Effect that shifts the readings, such as an offset, a drift or a motion."""
     start_values: tuple[float, ...] = ()
-    """Start values [SI] of the estimation; empty for zeros."""
+    """Start values [SI] of the parameters of the effect; empty for zeros."""
 
 
 @dataclass(frozen=True)
 class ReferenceOmission:
-    """Exclusion of a wrong reference value from the adjustment."""
+    """Change of the model by the exclusion of a wrong reference value (known point, length, level)."""
 
     reference_value: ReferenceValue
     """Excluded reference value."""
@@ -53,9 +53,9 @@ class ReferenceOmission:
 
 @dataclass(frozen=True)
 class RowCorrection:
-    """Correction of wrongly recorded pointings, k in number."""
+    """Change of the model by the correction of k wrongly recorded pointings (wrong name, unit or face)."""
 
-    rows: Ints
+    pointing_indices: Ints
     """Indices (k,) in the recording of the k pointings to correct."""
     readings: Floats
     """Corrected readings (k, 3) [m, rad, rad] of the k pointings."""
@@ -66,18 +66,18 @@ class RowCorrection:
 
 
 @dataclass(frozen=True)
-class NoiseFactor:
-    """Common factor on the declared standard deviations of some readings."""
+class NoiseFactorChange:
+    """Change of the model by a common factor on the declared standard deviations of some readings."""
 
     reading_mask: Bools
-    """Flags (n, 3) of the readings, of n pointings, whose standard deviations the factor multiplies."""
+    """Flags (n, 3), True for those readings of n pointings whose standard deviations are multiplied."""
     start_factor: float = 1.0
-    """Start value of the factor; a fit that starts at 1, the declared noise, would reject many readings as outliers."""
+    """Start value of the factor. With large noise a fit that starts at 1 would reject many readings as outliers."""
 
 
 @dataclass(frozen=True)
 class CoordinateExchange:
-    """Exchange of the reference coordinates of two targets."""
+    """Change of the model by the exchange of the reference coordinates of two targets."""
 
     target_names: tuple[str, str]
     """Names of the two targets."""
@@ -85,40 +85,42 @@ class CoordinateExchange:
 
 @dataclass(frozen=True)
 class CentringChange:
-    """Centring errors: a random displacement of the reflector at each occupation of some targets."""
+    """Change of the model by centring errors: a random displacement of the reflector at each occupation of targets."""
 
     centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors, and the standard deviation of the displacements."""
 
 
-ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange | CentringChange
-"""Change of the network's model by a hypothesis."""
+ModelChange = (
+    ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactorChange | CoordinateExchange | CentringChange
+)
+"""Change of the model of a network by a hypothesis on an error."""
 
 
 @dataclass(frozen=True)
 class CauseHypothesis:
-    """Hypothesis that one cause, at certain stations or targets, explains a disagreement of readings and model."""
+    """Hypothesis that one cause, at certain stations or targets, explains a misfit of readings and model."""
 
     kind: CauseKind
     """Kind of the cause."""
     acts_on: str
-    """Quantity that the cause changes: observable, `position`, kind of reference value, or `noise`."""
+    """Quantity that the cause changes: an observable, `position`, a kind of reference value, or `noise`."""
     stations: tuple[str, ...]
-    """Names of the stations at which the cause acts; empty for all."""
+    """Names of the stations where the cause acts; empty for all."""
     targets: tuple[str, ...]
-    """Names of the targets at which the cause acts; empty for all."""
+    """Names of the targets where the cause acts; empty for all."""
     log_prior: float
     """Logarithm of the prior odds of this hypothesis relative to no error."""
     model_change: ModelChange
-    """Change of the model by the cause."""
-    error_description: str = ""
-    """Name of a wrong reference value, or sentence on wrongly recorded pointings; else empty."""
+    """Change of the model of the network by the cause."""
+    reference_name_or_sentence: str = ""
+    """Name of a wrong reference value, or sentence for the user on wrongly recorded pointings; else empty."""
     row_numbers: tuple[int, ...] = ()
     """Row numbers, from 1, of wrongly recorded pointings; empty for other kinds."""
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of the kind of cause, and of the stations, targets and rows where the cause acts.
+        """Key from the kind of cause and the stations, targets and rows where it acts.
 
         Hypotheses with equal keys differ only in their onset time and start values.
         """
@@ -127,7 +129,7 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        This is so if they share a station or target, or if one hypothesis acts on the whole recording.
+        They may if they share a station or target, or if one of them acts on the whole recording.
         """
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

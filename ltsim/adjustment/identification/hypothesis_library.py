@@ -1,8 +1,8 @@
 """Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
-A family contains the hypotheses of one kind of shift of readings: one for each station, target or instrument, and for
-each possible onset time. The design columns of all hypotheses of a family are computed from one array, so that a
-network with thousands of stations and targets is screened at once.
+A family contains the hypotheses on one kind of shift of readings: one hypothesis for each station, target or
+instrument, and for each possible onset time. Their design columns are computed from one array, so that a network with
+thousands of stations and targets is screened at once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CauseKind,
     CoordinateExchange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
@@ -34,7 +34,7 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_alignment_distance
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, largest_alignment_distance
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
@@ -46,50 +46,53 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_POINTS_FOR_EXCHANGE = 4
-"""Smallest number of reference points for a test of an exchange of two points; three points always fit their mirror
-image. """
+"""Smallest number of reference points for a test whether two points are exchanged. With three points an exchange always
+fits, as a mirror image."""
 MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Ratio below which the exchange of two reference points is a hypothesis: misclosure of all reference points after this
-exchange, divided by the smaller of the misclosures without an exchange and after any other exchange.
+"""Largest ratio of misclosures at which the exchange of two reference points becomes a hypothesis: largest misclosure
+of the reference points after this exchange, divided by that without an exchange or after any other exchange.
 """
 PlaceKind = Literal["station", "target", "instrument", "sight"]
-"""Kind of place of a shift of readings: one station, one target, all stations of an instrument, or one target as it is
-measured from one station."""
+"""Kind of place where a shift of readings acts: one station, one target, all stations of an instrument, or the sight
+from one station to one target."""
 
 
 @dataclass(frozen=True)
 class ShiftPlace:
-    """Stations and targets at which a shift may act, and their pointings."""
+    """Stations and targets where a shift of readings may act, and their pointings."""
 
     stations: tuple[str, ...]
     """Names of the stations; empty for all."""
     targets: tuple[str, ...]
     """Names of the targets; empty for all."""
-    rows: Ints
+    pointing_indices: Ints
     """Indices of the pointings of these stations and targets, in the order of measurement."""
 
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Hypotheses of one kind of shift of readings, at each place of one kind."""
+    """Hypotheses on one kind of shift of readings, for example an offset of distances, at each station (or target)."""
 
     kind: CauseKind
     """Kind of the error."""
     acts_on: str
     """Observable that is shifted, or `position`."""
     place_kind: PlaceKind
-    """Kind of place at which the error acts."""
+    """Kind of place where the error acts: station, target, instrument or sight."""
     design: Floats
     """Change (n, 3, p) of the readings of n pointings per unit of each of p parameters, if all pointings are
     shifted."""
     min_pointings_around_onset: int = 0
-    """Smallest number of pointings of a place before and after the onset of the shift; 0 for a shift that acts from the
-    first pointing on."""
+    """Smallest number of pointings before and after the onset of the shift at its station or target; 0 for a shift that
+    acts from the first pointing on."""
     drift_interval: Literal["occupation", "recording"] | None = None
     """Interval in which the shift grows at a constant rate from zero; None for other shifts."""
 
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
-        """Times [s] at which a shift may begin at a place; `rows` are its pointings in the order of measurement."""
+        """Times [s] at which a shift may begin at a station or target.
+
+        `rows` are its pointings in the order of measurement. A shift from the first pointing on has the time -inf.
+        """
         if not self.min_pointings_around_onset:
             return [-np.inf]
         times = sightings.time[rows]
@@ -110,7 +113,7 @@ class ShiftFamily:
         return middle[indices].tolist()
 
     def make_effect(self, place: ShiftPlace, onset_time: float) -> LinearEffect:
-        """Shift of this kind at a place, from the time `onset_time` [s] on."""
+        """Effect that shifts readings at the stations and targets `place` from the time `onset_time` [s] on."""
         stations, targets = place.stations, place.targets
         if self.kind == "station-bump":
             return StationBump(stations, targets, time=onset_time)
@@ -129,7 +132,10 @@ class ShiftFamily:
 
 
 def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace]:
-    """Places of one kind in a recording; only instruments used at several stations, and sights measured repeatedly."""
+    """All stations, targets, instruments or sights of a recording where a shift of readings may act.
+
+    Instruments are listed if they were used at several stations, sights if they were measured repeatedly.
+    """
     order = sightings.measurement_order
     if place_kind == "instrument":
         places = []
@@ -160,7 +166,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of the shifts of readings that are possible in a recording."""
+    """Families of all shifts of readings that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -175,7 +181,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         ):  # a step of the azimuth is a rotation of the station
             for place_kind in step_places:
                 yield ShiftFamily(
-                    "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
+                    "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_POINTS_FOR_POSE
                 )
             drift = offset * sightings.elapsed_occupation_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift, drift_interval="occupation")
@@ -199,25 +205,25 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_motion_design(sightings)
-    yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_RIGID_POINTS)
-    yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_RIGID_POINTS)
+    yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
+    yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
 
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Hypothetical shift of readings of one kind, at one station, target or instrument, from one time on."""
+    """Candidate hypothesis: shift of readings of one kind, at one station, target or instrument, from a time on."""
 
     family: ShiftFamily
-    """Family of the shift, which states its kind."""
+    """Family of the shift, with its kind and design matrix."""
     place: ShiftPlace
-    """Stations and targets at which the shift acts."""
+    """Stations and targets where the shift acts."""
     onset_time: float
     """Time [s] from which the shift acts; minus infinity for the whole recording."""
     affected_rows: Ints
     """Indices of the pointings that are shifted."""
     earlier_rows: Ints
-    """Indices of the pointings of the same place before the onset."""
+    """Indices of the pointings at the same stations and targets before the onset."""
     n_candidates_of_kind: int
     """Number of candidates of this kind, which share the prior probability of the kind equally."""
 
@@ -230,7 +236,7 @@ class ShiftCandidate:
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of kind, stations and targets of a shift; candidates with equal keys differ only in the onset time."""
+        """Key from kind, stations and targets of a shift; candidates with equal keys differ only in the onset time."""
         return self.family.kind, self.family.acts_on, self.place.stations, self.place.targets
 
     @property
@@ -245,7 +251,7 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):
         for place in places[family.place_kind]:
-            rows = place.rows
+            rows = place.pointing_indices
             for since in family.candidate_onset_times(sightings, rows):
                 late = sightings.time[rows] >= since
                 shifts.append((family, place, since, rows[late], rows[~late]))
@@ -256,12 +262,12 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
 
 
 def reference_omissions(fit: NetworkFit) -> list[CauseHypothesis]:
-    """Hypotheses that one reference value of a fit is wrong, one for each reference value."""
+    """Hypotheses that a reference value is wrong, one for each reference value in a fit."""
     return omissions_of_reference_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
 def omissions_of_reference_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[CauseHypothesis]:
-    """Hypotheses that one reference value is wrong, one for each of the reference values `values`."""
+    """Hypotheses that a reference value is wrong, one for each of the reference values `values` of a recording."""
     hypotheses = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
@@ -282,17 +288,17 @@ CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
     "face-confusion": "unit",
     "outlier": "height",
 }
-"""Kind of cause under which a corrected blunder is reported, by the name of the blunder's effect."""
+"""Kind of cause under which a blunder is reported, by the name of the catalogue effect that represents the blunder."""
 
 
 def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
-    """Hypotheses of wrongly recorded pointings: outliers that agree with a target if a typical blunder is corrected."""
+    """Hypotheses on wrongly recorded pointings: outliers that fit a target after correction of a typical blunder."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
         kind = CAUSE_KIND_BY_BLUNDER[mistake.effect_name]
-        change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
-        rows = tuple((mistake.rows + 1).tolist())
+        change = RowCorrection(mistake.pointing_indices, readings, target, fit.recording.face[mistake.pointing_indices])
+        rows = tuple((mistake.pointing_indices + 1).tolist())
         prior = log_prior_of_kind(kind, places)
         hypotheses.append(
             CauseHypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
@@ -301,15 +307,15 @@ def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
 
 
 def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
-    """Hypotheses of set-ups recorded in another unit, sense of rotation or face.
+    """Hypotheses on set-ups that were recorded in another unit, sense of rotation or face.
 
-    The shape of the points that each set-up measured shows these errors, before any adjustment.
+    The shape of the measured points of each set-up shows these errors before any adjustment.
     """
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
-        rows = mistake.rows
+        rows = mistake.pointing_indices
         change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of_kind("unit", len(recording.stations))
         hypotheses.append(CauseHypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
@@ -317,9 +323,9 @@ def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
 
 
 def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
-    """Hypothesis that the coordinates of two reference points are exchanged, as a list; empty if no exchange fits well.
+    """Hypothesis that the coordinates of two reference points are exchanged, as a list; empty if no exchange fits.
 
-    The reference coordinates are compared with the shape of the network that is computed without them.
+    The reference coordinates are compared with the shape of the network computed without them.
     """
     setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
     names = [
@@ -350,16 +356,16 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
 
 
 def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
-    """Indices of `n_points` points in order, with two indices exchanged."""
+    """Indices 0 to `n_points` - 1 in order, with two indices exchanged."""
     order = list(range(n_points))
     order[first_index], order[second_index] = second_index, first_index
     return order
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]:
-    """Hypotheses that the noise of all readings, an observable, the angles, a target or a station is not as declared.
+    """Noise hypotheses, each with the mask (n, 3) of the readings of n pointings whose noise may differ from declared.
 
-    The second element of each pair is the mask (n, 3) of the affected readings of n pointings.
+    They act on all readings, one observable, both angles, one target, or one station.
     """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)
@@ -371,7 +377,7 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> CauseHypothesis:
         prior = log_prior_of_kind("noise-level", n_rivals)
-        return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
+        return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactorChange(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():

@@ -1,7 +1,7 @@
-"""Robust fits of many shift hypotheses at once, each to the residuals of the readings that it changes.
+"""Robust fits of many shifts of readings at once, each to the residuals of those readings that it changes.
 
-A shift hypothesis adds parameters to the model, such as the displacement of a target or an offset of the distances of a
-set-up. In these fits all unknowns of the network keep their values.
+A shift adds parameters to the model, such as the displacement of a target or an offset of the distances of a set-up. In
+these fits all other unknowns of the network keep their values.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
-N_REWEIGHTINGS = 6
-"""Number of iterations of reweighted least squares in the fit of a shift."""
-MAX_TRIMMED_FITS = 2
-"""Number of final least-squares fits, each to the readings that are not outliers of the previous fit."""
+N_REWEIGHTINGS_OF_SHIFT_FIT = 6
+"""Number of iterations of reweighted least squares in the local fit of a shift of readings."""
+N_TRIMMED_FITS = 2
+"""Number of final least-squares fits of a shift, each to the readings that are no outliers of the previous fit."""
 
 
 @dataclass(frozen=True)
 class LocalShiftProblem:
-    """Least-squares problem of one shift, whitened: design and residuals of the m readings that the shift changes."""
+    """Whitened least-squares problem of one shift: design matrix and residuals of the m readings that it changes."""
 
     unit_columns: Floats
     """Design columns (m, r) of the r parameters that change some of the m readings, scaled to unit length."""
@@ -51,14 +51,15 @@ class LocalShiftProblem:
 
     @property
     def has_outliers_and_parameters(self) -> bool:
-        """True if at least one reading is an outlier and at least one parameter influences the readings."""
+        """True if at least one reading is an outlier, and at least one parameter of the shift changes readings."""
         return bool(self.is_outlier.any() and self.is_acting_parameter.any())
 
 
 def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -> list[tuple[float, Floats]]:
-    """Decrease of the negative log likelihood by each shift, and robust estimate (q,) of its q parameters.
+    """Gain of log likelihood by each shift, and robust estimate (q,) of its q parameters.
 
-    In this likelihood each reading contributes at most `outlier_cost`, so that outliers do not distort the estimate.
+    Each reading contributes at most `outlier_cost` to the negative log likelihood, so that outliers have little
+    influence.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):
@@ -86,7 +87,7 @@ def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -
 
 
 def _batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
-    """Batches of indices of shifts with equal numbers of parameters, ordered by the number of readings.
+    """Batches of indices of shifts with equal numbers of parameters, to be fitted together; ordered by reading number.
 
     The design matrices of a batch together have at most `MAX_TEMPORARY_ENTRIES` entries.
     """
@@ -108,20 +109,20 @@ def _robust_parameters(
 ) -> Floats:
     """Robust estimates (h, r) of the r parameters of h shifts with m readings each.
 
-    `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals. `is_used` (h, m) is False for
-    padding of a shift with fewer readings. The start value of a single parameter is the median of residual divided by
-    design over the outliers. Several parameters start at an approximate least absolute deviations fit by reweighting.
+    `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals, `is_outlier` (h, m) flags
+    outliers. `is_used` (h, m) is False for padding of shifts with fewer readings. A single parameter starts at the
+    median of residual divided by design over the outliers, several at a fit of least absolute deviations.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]
         amount = _row_medians(residual / np.where(column != 0.0, column, 1.0), is_outlier)[:, None]
     else:
         amount = _least_squares(unit_columns, residual, is_outlier.astype(np.float64))
-        for _ in range(N_REWEIGHTINGS):
+        for _ in range(N_REWEIGHTINGS_OF_SHIFT_FIT):
             miss = np.abs(residual - _reading_changes(unit_columns, amount))
             scale = np.maximum(1.5 * _row_medians(miss, is_used), 1.0)
             amount = _least_squares(unit_columns, residual, is_used / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))
-    for _ in range(MAX_TRIMMED_FITS):
+    for _ in range(N_TRIMMED_FITS):
         fits = is_used & (0.5 * (residual - _reading_changes(unit_columns, amount)) ** 2 < outlier_cost)
         enough = fits.sum(axis=1) > unit_columns.shape[2]
         amount = np.where(enough[:, None], _least_squares(unit_columns, residual, fits.astype(np.float64)), amount)
@@ -129,12 +130,12 @@ def _robust_parameters(
 
 
 def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
-    """Whitened changes (h, m) of m readings by h shifts, from r parameters each (h, r) and unit columns (h, m, r)."""
+    """Whitened changes (h, m) of m readings by h shifts, from `parameters` (h, r), `unit_columns` (h, m, r)."""
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
 def _row_medians(row_values: Floats, mask: Bools) -> Floats:
-    """Medians (h,) of h rows of m values, `row_values` (h, m), over the values that `mask` (h, m) selects."""
+    """Medians (h,) of the rows of `row_values` (h, m), over the values that `mask` (h, m) selects."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
     row_indices = np.arange(len(row_values))
     return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))

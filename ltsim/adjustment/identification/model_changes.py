@@ -1,4 +1,4 @@
-"""Application of hypotheses to a recording: corrections, exclusion of reference values, shifts, centring errors."""
+"""Application of the model changes of hypotheses to a recording: corrections, exclusions, shifts, centring errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,17 +20,18 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 CENTRING_SIGMA_TOLERANCE = 0.15
-"""Smallest relative change of the standard deviation of centring errors at which a fit is repeated. The relative
-standard deviation of an estimate from a hundred displacement components is 7 %.
+"""Relative change of the standard deviation of centring errors, above which a network fit is repeated. An estimate from
+a hundred displacement components has a relative standard deviation of 7 %.
 """
 
 
 def start_parameter_values(
     hypotheses: Sequence[CauseHypothesis], n_parameters: int, approximate_sightings: Sightings | None
 ) -> Floats:
-    """Start values (`n_parameters`,) [SI] of the parameters of additional effects; the shifts come first.
+    """Start values (`n_parameters`,) [SI] of the parameters of additional effects, those of the shifts first.
 
-    Shifts start at the values in their hypotheses if `approximate_sightings` are given; all other values are zero.
+    Shifts start at the start values of their hypotheses if `approximate_sightings` is not None; all other start values
+    are zero.
     """
     shifts = [h.model_change for h in hypotheses if isinstance(h.model_change, ReadingShiftChange)]
     start_values = [
@@ -46,7 +47,10 @@ def start_parameter_values(
 def subtract_shifts(
     recording: Recording, hypotheses: Sequence[CauseHypothesis], approximate_sightings: Sightings
 ) -> Recording:
-    """Recording from which the shifts of the hypotheses are subtracted; their start values are used as sizes."""
+    """Recording from whose readings the shifts of the hypotheses are subtracted, with their start values as sizes.
+
+    `approximate_sightings` are the ranges and directions at which the shifts are computed.
+    """
     readings = recording.readings.copy()
     for h in hypotheses:
         if isinstance(h.model_change, ReadingShiftChange) and h.model_change.start_values:
@@ -57,14 +61,15 @@ def subtract_shifts(
 
 
 def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[CauseHypothesis]) -> Recording:
-    """Recording with the changes of the hypotheses, except shifts and noise factors.
+    """Recording with the model changes of the hypotheses, except shifts of readings and noise factors.
 
-    Wrong rows are corrected, centring errors declared, coordinates exchanged and wrong reference values removed.
+    Wrongly recorded pointings are corrected, centring errors declared, coordinates exchanged and wrong reference values
+    removed.
     """
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.model_change, RowCorrection):
-            rows = h.model_change.rows
+            rows = h.model_change.pointing_indices
             readings[rows], target[rows], face[rows] = (
                 h.model_change.readings,
                 h.model_change.target_indices,
@@ -88,8 +93,8 @@ def hypothesis_with_centring_sigma(
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
     `estimate_function` returns the q components u (q,) [m] of the displacements of a hypothesis, and their covariance C
-    (q, q). The step of restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned
-    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_SIGMA_TOLERANCE`.
+    (q, q). The step of restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). Hypotheses of other kinds, and
+    those whose s changes by less than `CENTRING_SIGMA_TOLERANCE`, are returned unchanged.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):

@@ -1,29 +1,29 @@
-"""Estimated noise factor of an accepted noise hypothesis, and sentence with the noise to declare in `setup.toml`."""
+"""Estimated factor of a selected noise hypothesis, and sentence with the noise to declare in `setup.toml`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactorChange
 from ltsim.adjustment.stochastic_model import noise_declaration_texts
 from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
 NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
-"""Texts of the readings that a noise hypothesis acts on, for hypotheses on more than one observable."""
+"""Texts for the readings on which a noise hypothesis acts, for hypotheses on more than one observable."""
 
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
-    """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
-    assert isinstance(hypothesis.model_change, NoiseFactor)
+    """Estimated factor of a selected noise hypothesis on the declared standard deviations (median over readings)."""
+    assert isinstance(hypothesis.model_change, NoiseFactorChange)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
-    return float(np.median(fit.problem.sigma[mask] / fit.fit_input.recording.reading_sigmas()[mask]))
+    return float(np.median(fit.problem.reading_sigmas[mask] / fit.fit_input.recording.reading_sigmas()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on an accepted noise hypothesis, with the factor on the declared noise and the noise to declare."""
+    """Sentence on a selected noise hypothesis, with the factor on the declared noise and the noise to declare."""
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
     readings_text = NOISE_READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
@@ -34,15 +34,15 @@ def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Advice to declare the estimated noise in the set-up.
+    """Advice to declare the estimated noise in the set-up, as the end of a sentence.
 
-    It contains the values to declare, for a single instrument and a recording without columns of standard deviations.
+    For a single instrument and a recording without columns of standard deviations it contains the values to declare.
     """
-    assert isinstance(hypothesis.model_change, NoiseFactor)
+    assert isinstance(hypothesis.model_change, NoiseFactorChange)
     recording, mask = fit.fit_input.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
         return "declare this noise in the set-up"
-    factors = fit.problem.sigma / recording.reading_sigmas()
+    factors = fit.problem.reading_sigmas / recording.reading_sigmas()
     settings = [
         setting
         for k, observable in enumerate(OBSERVABLES)

@@ -1,43 +1,43 @@
-"""Usual sizes of distance offsets: differences of the radii of common SMRs, and additive constants of common prisms."""
+"""Nominal sizes of distance offsets: differences of the radii of common SMRs, and additive constants of prisms."""
 
 from collections.abc import Mapping
 from typing import TypeVar
 
 NominalEntryT = TypeVar("NominalEntryT")
-"""Type of the entry of a nominal size: the name of a constant, or the diameters of two SMRs."""
-SMR_RADIUS_DIFFERENCES = {
+"""Type of a dictionary value for a nominal size: the name of a prism constant, or the diameters of two SMRs."""
+SMR_DIAMETERS_BY_RADIUS_DIFFERENCE = {
     12.7e-3: ("0.5 inch", "1.5 inch"),
     7.94e-3: ("7/8 inch", "1.5 inch"),
     4.76e-3: ("0.5 inch", "7/8 inch"),
 }
 """Nominal diameters of the smaller and the larger SMR, by the difference of their radii [m]."""
-PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
+PRISM_CONSTANT_NAMES = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
 """Names of the additive constants of common prisms, by their size [m]."""
-MAX_NOMINAL_DIFFERENCE = 60e-6
-"""Largest difference [m] of an offset from a nominal size that a sentence names as its cause. The standard deviation of
-the offset must also be below this limit.
+MAX_DIFFERENCE_FROM_NOMINAL_SIZE = 60e-6
+"""Largest difference [m] between an estimated offset and the nominal size that a sentence names as its cause. The
+standard deviation of the offset must also be below this limit.
 """
 
 
 def offset_cause_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of a distance offset; empty if no nominal size fits.
+    """Text on the usual cause of a distance offset, such as another SMR or a prism constant; empty if none fits.
 
     `value` [m] is the estimated offset, `sigma` [m] its standard deviation.
     """
     text_by_difference = {
         size: f"the radii of a {small} and a {large} SMR differ by this amount"
-        for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
+        for size, (small, large) in SMR_DIAMETERS_BY_RADIUS_DIFFERENCE.items()
     }
-    return _entry_of_nearest_nominal_size({**text_by_difference, **PRISM_CONSTANTS}, value, sigma) or ""
+    return _entry_of_nearest_nominal_size({**text_by_difference, **PRISM_CONSTANT_NAMES}, value, sigma) or ""
 
 
 def smr_exchange_text(value: float, sigma: float) -> str:
-    """Text of two SMRs of which one was used in place of the other; empty if no pair of common SMRs fits.
+    """Text that one SMR was used in place of another; empty if no pair of common SMRs fits the displacement.
 
     `value` [m] is the estimated displacement of the SMR centre, positive away from the nest, `sigma` [m] its standard
     deviation.
     """
-    pair = _entry_of_nearest_nominal_size(SMR_RADIUS_DIFFERENCES, value, sigma)
+    pair = _entry_of_nearest_nominal_size(SMR_DIAMETERS_BY_RADIUS_DIFFERENCE, value, sigma)
     if pair is None:
         return ""
     used, assumed = reversed(pair) if value > 0 else pair
@@ -47,13 +47,14 @@ def smr_exchange_text(value: float, sigma: float) -> str:
 def _entry_of_nearest_nominal_size(
     nominal_sizes: Mapping[float, NominalEntryT], value: float, sigma: float
 ) -> NominalEntryT | None:
-    """Entry of the nominal size [m] that is nearer than `MAX_NOMINAL_DIFFERENCE` to the absolute value of an offset.
+    """Entry of the nominal size [m] that agrees with the absolute value of an offset, `value` [m].
 
-    The result is None if no nominal size is as near, or if the standard deviation `sigma` is not below this limit.
+    The result is None if no nominal size is nearer to it than `MAX_DIFFERENCE_FROM_NOMINAL_SIZE`, or if the standard
+    deviation `sigma` [m] of the offset exceeds this limit.
     """
     close = [
         entry
         for size, entry in nominal_sizes.items()
-        if abs(abs(value) - size) < MAX_NOMINAL_DIFFERENCE and sigma < MAX_NOMINAL_DIFFERENCE
+        if abs(abs(value) - size) < MAX_DIFFERENCE_FROM_NOMINAL_SIZE and sigma < MAX_DIFFERENCE_FROM_NOMINAL_SIZE
     ]
     return close[0] if close else None

@@ -1,4 +1,4 @@
-"""Shifts of readings: offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
+"""Shifts of readings: offsets, drifts and scale errors of one observable, at stations or targets, from a time on."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
-from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rigid import pose_jacobian
 from ltsim.physics.effects.linear_effect import (
     LinearEffect,
     Linearisation,
@@ -19,7 +19,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(LinearEffect):
-    """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
+    """Shift of the readings of one observable by an offset, drift or scale error, at some stations or targets.
 
     An offset of the elevations is an error of the vertical index, whose sign in the raw elevations depends on the face.
     A drift grows at a constant rate from zero at the first pointing of each station, or of the recording; its parameter
@@ -29,21 +29,21 @@ class ReadingShift(LinearEffect):
     observable: str
     """Name of the shifted observable: `distance`, `azimuth` or `elevation`."""
     is_proportional: bool = False
-    """True for a scale error, which is proportional to the range; False for an offset."""
+    """True for a scale error, which is proportional to the range; False for an offset or drift."""
     stations: tuple[str, ...] = ()
     """Names of the stations whose readings are shifted; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets whose readings are shifted; empty for all."""
     onset_time: float = -np.inf
-    """Time [s] of the first shifted reading."""
+    """Time [s] from which the readings are shifted; minus infinity for all readings."""
     plausible_size_factor: float = 1.0
-    """Factor on the plausible size of the parameter, which scales its weak prior."""
+    """Factor on the plausible size of the parameter and thus on the standard deviation of its weak prior."""
     drift_interval: Literal["occupation", "recording"] | None = None
     """Interval in which the shift grows at a constant rate from zero; None for a constant shift."""
 
     @property
     def is_drift(self) -> bool:
-        """True if the shift grows with time."""
+        """True if the shift grows with time at a constant rate."""
         return self.drift_interval is not None
 
     @property
@@ -53,7 +53,7 @@ class ReadingShift(LinearEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameter of the shift, as a tuple with one element: offset or scale error of the readings."""
+        """Parameter of the shift, as a tuple with one element: offset [m or rad] or scale error of the readings."""
         if self.is_proportional:
             return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
         if self.observable == "distance":
@@ -79,18 +79,20 @@ class ReadingShift(LinearEffect):
         return design_from_front_face_corrections(sightings, **{self.observable: -shift_per_unit[:, None]})
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
-        """Change of the readings, and derivatives of the change, at a value (1,) [SI] of the parameter.
+        """Change of the readings, and its derivatives, at the value `parameter_values` (1,) [SI] of the parameter.
 
-        A scale error is proportional to the range, so that its change also depends on poses and targets.
+        The change by a scale error is proportional to the range, so that it also depends on poses and targets.
         """
         design = self.design(sightings)
         if not self.is_proportional:
             return Linearisation(design @ parameter_values, design)
         scaled = np.where(design != 0.0, parameter_values[0] * sightings.target_derivatives, 0.0)
-        return Linearisation(design @ parameter_values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+        return Linearisation(
+            design @ parameter_values, design, (scaled, pose_jacobian(scaled, sightings.sight_vectors))
+        )
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:
-    """Displacements (n, 3) of n points by a unit error of their range [m/m], azimuth or elevation [m/rad]."""
+    """Displacements (n, 3) of the points of n pointings by unit errors of range [m/m], azimuth, elevation [m/rad]."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

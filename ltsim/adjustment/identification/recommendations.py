@@ -1,4 +1,4 @@
-"""Sentences on identified causes that the model of a result corrects, and recommended next actions."""
+"""Recommended next actions after identified causes of a misfit, and sentence on the errors that the model corrects."""
 
 from collections.abc import Collection, Iterable, Sequence
 
@@ -28,22 +28,24 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "height": "Check the heights of the instrument and of the targets{at_place}.",
     "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in the set-up.",
 }
-"""Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
-names after the word "at", `setups` for the set-ups to measure again, `rows` for the pointing with its row number.
+"""Sentence on the next action, by kind of cause. `place` is replaced by the names of the stations and targets,
+`at_place` by these names after the word "at", `setups` by the set-ups to measure again, `rows` by the pointing with its
+row number.
 """
 VERTICAL_INDEX_RECOMMENDATION = (
     "Determine the vertical index of the tracker, and measure {place} again in both faces: their mean is free of the "
     "index."
 )
-"""Next action for an offset of the elevations at one set-up."""
+"""Sentence on the next action after an offset of the elevations (vertical index) at one set-up."""
 INDEX_DRIFT_RECOMMENDATION = (
     "The vertical index differs between set-ups ({stations}), which suggests a drift: run ltsim diagnose."
 )
-"""Next action after offsets of the elevations at several set-ups, whose names `stations` stands for."""
+"""Sentence on the next action after offsets of the elevations (vertical index) at several set-ups; `stations` is
+replaced by their names."""
 
 
 def recommendation_for_cause(test: CauseTest) -> str:
-    """Sentence on the next action after an accepted cause; empty if the kind of the cause has no action."""
+    """Sentence on the next action after an identified cause; empty if its kind has no action."""
     return recommendation_at_place(
         test.kind,
         test.where.stations,
@@ -61,9 +63,10 @@ def recommendation_at_place(
     *,
     concerns_vertical_index: bool = False,
 ) -> str:
-    """Sentence on the next action after a cause at stations and targets, in pointings with these `rows` (from 1).
+    """Sentence on the next action after a cause of a kind at stations and targets; empty if the kind has no action.
 
-    It is empty if the kind of the cause has no action.
+    `rows` are the row numbers, from 1, of the affected pointings. `concerns_vertical_index` is True for an offset or
+    step of elevations.
     """
     names = (*stations, *targets)
     place = names_text(names, len(names)) if names else "the set-ups"
@@ -77,9 +80,9 @@ def recommendation_at_place(
 
 
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
-    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions.
+    """Sentences on next actions after all identified causes that are faults, in their order and without repetitions.
 
-    An action against a drift of the vertical index follows if its errors were accepted at several set-ups.
+    If the vertical index differs at several set-ups, a sentence on its drift follows.
     """
     faults = [test for test in tests if test.is_fault]
     actions = [recommendation_for_cause(test) for test in faults]
@@ -91,25 +94,25 @@ def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
 
 
 def _is_vertical_index_error(test: CauseTest) -> bool:
-    """True for an offset or step of elevations."""
+    """True for an offset or step of elevations, which is an error of the vertical index."""
     return test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation"
 
 
 def corrected_faults(tests: Iterable[CauseTest]) -> list[CauseTest]:
-    """Causes of a misfit, other than outliers, that the adjusted model of a result contains."""
+    """Identified errors, other than outliers, that the adjusted model of a result corrects."""
     return [test for test in tests if test.is_fault and test.kind != "outlier"]
 
 
 def corrections_sentence(tests: Iterable[CauseTest], excluded_reference_names: Collection[str]) -> str:
-    """Sentence on the causes of a misfit in the adjusted model; empty without such causes.
+    """Sentence on the identified errors that the adjusted model of a result corrects; empty if there are none.
 
     `excluded_reference_names` are the names of the reference values that the adjustment excludes.
     """
     faults = [test for test in corrected_faults(tests) if test.kind != "noise-level"]
     for test in faults:
         if test.kind == "reference-value" and not set(excluded_reference_names).intersection(test.where.targets):
-            remedy = "ltsim calibrate also estimates the constants of the instrument and tests them again"
-            return f"{test.sentence} This adjustment uses the reference values; {remedy}."
+            remedy = "ltsim calibrate also estimates the instrument constants and tests the reference values again"
+            return f"{test.sentence} This adjustment still uses this value; {remedy}."
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))

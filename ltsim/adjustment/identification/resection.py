@@ -1,7 +1,8 @@
-"""Resection of set-ups from two observables, if most of their readings contradict the network.
+"""Resection of set-ups from two of three observables, if most of their readings contradict the network.
 
 Ranges with a common offset or scale error displace a set-up, so that its angles have large residuals too. Elevations
-with a wrong vertical index tilt a set-up, so that all its readings have large residuals.
+with a wrong vertical index tilt a set-up, so that all its readings have large residuals. A pose from the other two
+observables does not have these errors.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from ltsim.solve.design import robust_sigma
 
 
 def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> NetworkState:
-    """State in which set-ups with mostly large residuals have a new pose, resected from two of their three observables.
+    """State in which set-ups with mostly large residuals get a new pose, resected from two of their three observables.
 
-    A pose is replaced only if this reduces the number of readings of the set-up with large residuals, above
-    `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations.
+    A pose is replaced only if the set-up then has fewer readings with large residuals, above `MIN_SIGMAS_BEYOND_NOISE`
+    robust standard deviations.
     """
     recording, far = problem.model.recording, _large_residual_mask(problem, state)
     if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_GROUP:
@@ -52,7 +53,10 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
 
 
 def _large_residual_mask(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (n, 3) of used readings of n pointings with large residuals (`MIN_SIGMAS_BEYOND_NOISE` robust sigmas)."""
+    """Flags (n, 3) of n pointings, True for used readings with large residuals.
+
+    Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations.
+    """
     whitened_residual = absolute_whitened_residuals(problem, state)
     scale = max(robust_sigma(whitened_residual[problem.is_used_reading]), 1.0)
     return np.asarray(problem.is_used_reading & (whitened_residual > MIN_SIGMAS_BEYOND_NOISE * scale))

@@ -1,9 +1,8 @@
-"""Screening of all hypotheses by an approximate gain of log evidence, given a fit.
+"""Screening of all hypotheses on errors by their approximate gain of log evidence relative to a fit.
 
-Two methods are used, and the larger gain counts. The projection onto the residual space of a fit is exact for small
-errors. A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any
-size whose readings were rejected as outliers. Both methods only rank hypotheses; a result requires a fit of the network
-with the hypothesis.
+Two methods are used, and the larger gain counts. Projection onto the residual space of a fit is exact for small errors.
+A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any size
+whose readings were rejected as outliers. Both methods only rank hypotheses; each selected one is fitted to the network.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_point
 from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
-    estimate_sigma_factors,
+    estimate_noise_factors_of_groups,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor, ReadingShiftChange
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactorChange, ReadingShiftChange
 from ltsim.adjustment.identification.hypothesis_library import (
     ShiftCandidate,
     noise_hypotheses,
@@ -44,20 +43,21 @@ from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
-"""Number of outliers in a network above which trial fits without the distances of one station or target are made."""
+"""Number of outliers in a network, above which trial fits without the distances of one station or target are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
-a fit without these distances is made."""
+a trial fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses, of undetermined hypotheses, and of places with trial fits that one step fits."""
-MIN_LENGTHS_FOR_SCALE = 2
-"""Smallest number of reference lengths for a test of a common scale error."""
+"""Largest number of hypotheses that one step of the selection fits; also the limit for failed fits and for trial
+fits."""
+MIN_SCALE_TEST_LENGTHS = 2
+"""Smallest number of reference lengths for a test of their common scale error."""
 ScreenedHypothesis = tuple[float, CauseHypothesis]
-"""Approximate gain of log evidence by a hypothesis, and the hypothesis."""
+"""Tuple of the approximate gain of log evidence by a hypothesis, and the hypothesis."""
 
 
 def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
-    """Hypotheses that may explain a fit, each preceded by its approximate gain of log evidence; largest gain first."""
+    """Hypotheses that may explain the misfit of a fit, each preceded by its approximate gain; largest gain first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
     non_robust_fit = _non_robust_fit(fit)
@@ -65,7 +65,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
     if non_robust_fit is not None:
         spaces.append((ResidualSpace.from_adjustment(non_robust_fit[0]), non_robust_fit[1]))
     for space, behind in spaces:
-        gains = np.maximum(gains, _exact_log_evidence_gains(space, every) + behind)
+        gains = np.maximum(gains, _projected_log_evidence_gains(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
     if fit.is_outlier.any():
         local, guesses = _local_shift_gains_and_starts(fit, every)
@@ -95,10 +95,9 @@ def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
 
 
 def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
-    """Least-squares fit of all readings, and its log evidence minus the log evidence of the robust fit (at most 0).
+    """Least-squares fit of all readings, and its log evidence minus that of the robust fit `fit` (at most 0).
 
-    The result is None if the robust fit has no outliers (both fits are equal), or if the least-squares fit does not
-    converge.
+    The result is None if the robust fit has no outliers, or if the least-squares fit does not converge.
     """
     if not fit.is_outlier.any():
         return None
@@ -112,7 +111,7 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
 def _best_onset_per_place(
     ranked_candidates: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
 ) -> list[tuple[float, int]]:
-    """Gains and indices of the candidates with the onset time of largest gain, one for each kind of error and place.
+    """Gains and indices of the best candidates, one (with the best onset time) per kind of error, stations and targets.
 
     `ranked_candidates` contains gains and indices of all candidates, the largest gain first.
     """
@@ -125,8 +124,8 @@ def _best_onset_per_place(
     return best
 
 
-def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by each of h candidate shifts, from their design projected onto a residual space."""
+def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+    """Gains (h,) of log evidence by each of h candidate shifts, by projection of their design onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)
@@ -155,18 +154,19 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
 
 
 def _log_evidence_gain(chi2_drop: float, rank: int) -> float:
-    """Gain of log evidence, without prior, by `rank` components that decrease chi-square by `chi2_drop`."""
+    """Gain of log evidence, without prior, by a shift of `rank` components that decreases chi-square."""
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
 def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
+    """Whitened design columns (m, q) of a candidate shift with q parameters, for m equations."""
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return residual_space.whiten(design)
 
 
 def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by each of h candidates, without projection.
+    """Approximate gains (h,) of log evidence by each of h candidate shifts, without projection.
 
     Each gain uses only the residuals of the readings that the candidate shifts, weighted by their redundancy numbers.
     """
@@ -175,7 +175,8 @@ def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[S
     residual[use], share[use] = space.whitened_residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
     gains = np.empty(len(candidates))
     weighted = {
-        id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in candidates
+        id(c.family): np.where(use[:, :, None], c.family.design / space.reading_sigmas[:, :, None], 0.0)
+        for c in candidates
     }
     for i, c in enumerate(candidates):
         g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
@@ -192,8 +193,8 @@ def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[S
 def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
     """Gains (h,) of log evidence by h candidate shifts with the network unchanged, and start values of each shift.
 
-    A shift gains evidence if its readings are no longer outliers. If a shift begins during the measurement, the network
-    may agree with the later readings. The earlier readings then show the negative shift, so that both cases are tested.
+    A shift gains evidence if its readings are no longer outliers. The network may agree with the readings before or
+    after the onset of a shift. In the second case the earlier readings show the negative shift. Both cases are tested.
     """
     gains = np.full(len(candidates), -np.inf)
     guesses = [np.zeros(c.family.design.shape[2]) for c in candidates]
@@ -203,7 +204,7 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
     weighted = {
         id(c.family): np.where(
             fit.problem_with_all_readings.is_used_reading[:, :, None],
-            c.family.design / fit.problem.sigma[:, :, None],
+            c.family.design / fit.problem.reading_sigmas[:, :, None],
             0.0,
         )
         for c in candidates
@@ -230,11 +231,10 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
 def _moved_target_candidates(
     fit: NetworkFit, candidates: Sequence[ShiftCandidate]
 ) -> Iterator[tuple[int, float, Floats]]:
-    """Candidates for moved targets: index, gain of log evidence, and displacement (3,) [m].
+    """Candidates for targets that moved far: index, gain of log evidence, and displacement (3,) [m].
 
-    The position of each target is computed separately from the pointings before and after the onset. The adjusted
-    position of a target that moved far lies between both positions, so that no reading to this target fits and the
-    other methods fail.
+    The position of each target is computed separately from the pointings before and after the onset. Other methods fail
+    for a large motion, because the adjusted position lies between both positions and no reading to the target fits.
     """
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
     moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
@@ -250,7 +250,7 @@ def _moved_target_candidates(
     price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
-    sigma = fit.problem.sigma
+    sigma = fit.problem.reading_sigmas
     for i in (i for i in moved_indices if candidates[i].place.targets in suspects):
         parts = candidates[i].earlier_rows, candidates[i].affected_rows
         points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
@@ -270,7 +270,7 @@ def _moved_target_candidates(
 
 
 def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
-    """Position (3,) [m] of a target from some of its pointings, with unchanged stations; None if not unique."""
+    """Position (3,) [m] of a target from some pointings (indices), with unchanged stations; None if not unique."""
     pointing_indices = pointing_indices[fit.problem_with_all_readings.is_used_reading[pointing_indices].any(axis=1)]
     sight, station = (
         FitReadings.from_recording(fit.recording).select_rows(pointing_indices),
@@ -288,7 +288,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
     is therefore fitted without these distances, and the error follows from their residuals. The list is empty if gross
-    pointings are as frequent in the whole recording. Each hypothesis is preceded by its gain of log evidence.
+    pointings are frequent in the whole recording. Each hypothesis is preceded by its gain of log evidence.
     """
     gross = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1))
     if gross.mean() > MIN_GROSS_FRACTION_FOR_TRIAL:
@@ -309,8 +309,8 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         if aside is None:
             continue
         use = c.affected_rows[fit.problem_with_all_readings.is_used_reading[c.affected_rows, 0]]
-        g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
-        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        g = c.family.design[use, 0, 0] / fit.problem.reading_sigmas[use, 0]
+        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.reading_sigmas[use, 0]
         acts = g != 0.0
         if not acts.any():
             continue
@@ -322,7 +322,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
 
 def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
-    """New fit without the distances of the pointings `rows`; None if the network needs these distances."""
+    """New fit without the distances of the pointings `rows`; None if they are necessary to determine the network."""
     readings = fit.fit_input.recording.readings.copy()
     readings[rows, 0] = np.nan
     fit_input = replace(fit.fit_input, recording=fit.fit_input.recording.with_readings(readings))
@@ -333,7 +333,7 @@ def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
 
 
 def _gain_by_outliers(fit: NetworkFit, pointing_indices: Ints) -> float:
-    """Gain of log evidence if all outliers among some pointings are explained, from their Occam factors and priors."""
+    """Gain of log evidence if a hypothesis explains all outliers among the pointings `pointing_indices`."""
     is_outlier = fit.is_outlier[pointing_indices]
     w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of_kind(
@@ -342,7 +342,7 @@ def _gain_by_outliers(fit: NetworkFit, pointing_indices: Ints) -> float:
 
 
 def _affected_pointings(fit: NetworkFit, hypothesis: CauseHypothesis) -> Ints:
-    """Indices of the pointings from the stations, or to the targets, at which a hypothesis acts."""
+    """Indices of the pointings from the stations, or to the targets, where a hypothesis acts."""
     recording = fit.recording
     targets = [recording.targets.index(name) for name in hypothesis.targets]
     stations = [recording.stations.index(name) for name in hypothesis.stations]
@@ -350,6 +350,7 @@ def _affected_pointings(fit: NetworkFit, hypothesis: CauseHypothesis) -> Ints:
 
 
 def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[ScreenedHypothesis]:
+    """Hypotheses that a reference value is wrong, with approximate gains of log evidence from tests in `adjustment`."""
     problem = with_nonzero_reference_sigmas(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
     tests: dict[tuple[str, str], ReferenceTest] = {}
@@ -357,16 +358,16 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
         tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
     for h in reference_omissions(fit):
-        test = tests.get((h.acts_on, h.error_description))
+        test = tests.get((h.acts_on, h.reference_name_or_sentence))
         if test is not None and test.rank:
             offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
 
 
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
-    """Gain and hypothesis of a relative scale error of reference lengths and distances; empty for too few lengths."""
+    """Hypothesis of different scales of reference lengths and distances, with its gain of log evidence, if possible."""
     scale = GaugeScale()
-    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
+    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_SCALE_TEST_LENGTHS:
         return []
     drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)
@@ -375,12 +376,12 @@ def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> 
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
-    """Hypotheses of noise that differs from the declared noise, each preceded by its gain of log evidence."""
+    """Noise hypotheses (noise of some readings is not as declared), each preceded by its gain of log evidence."""
     return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading_mask: Bools) -> ScreenedHypothesis:
-    """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
+    """Largest gain of log evidence by a factor on the noise, and the noise hypothesis with this factor as start value.
 
     With larger noise the outliers with the smallest residuals are correct readings, as many as maximise the gain.
     """
@@ -388,12 +389,12 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
-    factor, gain = estimate_sigma_factors(squares, redundancy)
-    # `estimate_sigma_factors` counts the outliers with the declared noise; their log evidence as outliers replaces it.
+    factor, gain = estimate_noise_factors_of_groups(squares, redundancy)
+    # The gain contains the outliers with the declared noise; their log evidence as outliers replaces this part.
     price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of_kind(
         "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )
     gain = gain + np.append(0.0, np.cumsum(price - 0.5 * residual_sizes**2)) + log_occam_factor_of_variance(redundancy)
     best_index = int(np.argmax(gain))
-    change = NoiseFactor(reading_mask, float(factor[best_index]))
+    change = NoiseFactorChange(reading_mask, float(factor[best_index]))
     return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -1,4 +1,4 @@
-"""Selection of the causes of errors in a network by forward, backward and exchange steps, by their log evidence.
+"""Selection of hypotheses on the causes of a misfit by log evidence, in forward, backward and exchange steps.
 
 `select_causes` is the loop. Its steps are `_forward_step`, `_backward_step` and `_exchange_step`. After each step the
 network is fitted again with the selected hypotheses, and outliers, reference values and all other hypotheses are tested
@@ -16,12 +16,12 @@ from ltsim.adjustment.identification.cause_selection import (
     SelectedHypothesis,
     has_larger_noise_of_all_readings,
 )
-from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
+from ltsim.adjustment.identification.evidence import LOG_PRIOR_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
-    NoiseFactor,
+    NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
 )
@@ -42,60 +42,62 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
 MAX_SELECTED_HYPOTHESES = 8
-"""Largest number of selected hypotheses."""
+"""Largest number of hypotheses on causes of a misfit that are selected for one network."""
 MAX_CAUSES_COMPARED_WITH_CENTRING = 3
-"""Largest number of other causes whose joint log evidence is compared with the log evidence of centring errors."""
+"""Largest number of other causes that together are compared with centring errors, by log evidence."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
-"""Smallest number of pointings of a network whose causes are not searched if the global test accepts it (saves 5 s of
-processor time).
+"""Smallest number of pointings of a large network. If a large network passes the global test, no causes are searched,
+which saves 5 s of processor time.
 """
 MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
-"""Ratio of chi-square to degrees of freedom below which readings count as computed and not measured: residuals of a
-thousandth of the declared noise.
+"""Ratio of chi-square to degrees of freedom, below which readings count as computed and not measured: the residuals are
+below a thousandth of the declared noise.
 """
 MAX_OUTLIER_FRACTION_OF_CONSISTENT_NETWORK = 0.01
-"""Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
-`FAMILY_WISE_LEVEL`.
+"""Largest fraction of outliers at which a large network counts as consistent, if it also passes the global test at the
+level `FAMILY_WISE_LEVEL`.
 """
 MIN_REFERENCES_PER_WRONG_REFERENCE = 3
-"""Smallest ratio of the number of all reference values to the number of reference values with large misclosures, at
-which the latter are excluded before the search, because the others are a clear majority."""
+"""Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
+reference values with large misclosures are excluded before the search: the others are then a clear majority."""
 MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
-"""Ratio of the gain of log evidence of a fit to the approximate gain from the screening, below which the fit is
-repeated from new start values instead of the present state."""
+"""Ratio of the gain of log evidence of a fit with one more hypothesis to the approximate gain from the screening, below
+which the fit is repeated from new start values instead of the present state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
-"""Smallest approximate gain of log evidence for which a fit is repeated from new start values: that of a shift of ten
-standard deviations. A smaller shift hardly changes the converged state."""
+"""Smallest approximate gain of log evidence at which a fit is repeated from new start values: the gain by a shift of
+ten standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
-"""Ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening, above
-which only hypotheses that may explain the same readings are fitted too."""
+"""Ratio of the gain of log evidence by the first fitted hypothesis to its approximate gain from the screening, above
+which only rivals are fitted too: hypotheses that may explain the same readings."""
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
-"""Smallest size of a sudden station motion, in its standard deviations, for which other times of the motion are fitted;
-a smaller motion does not distort the network.
+"""Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
+too. A smaller motion does not distort the network so much that the screening selects a wrong time.
 """
 RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
-"""Hypotheses that were fitted in addition to a fit, each with the fit that contains it; the best fit first."""
+"""Hypotheses that were added to a fit on trial, each with the resulting fit; the fit with the largest log evidence
+first.
+"""
 
 
 @dataclass(frozen=True)
 class CauseSelectionState:
-    """State of the selection of causes; each step of the selection returns a new state."""
+    """State of the selection of hypotheses on the causes of a misfit; each step of it returns a new state."""
 
     fit: NetworkFit
-    """Fit with the hypotheses that are selected so far."""
+    """Network fit with the hypotheses that are selected so far."""
     min_gain: float
-    """Smallest gain of log evidence by a selected cause."""
+    """Smallest gain of log evidence at which a hypothesis is selected."""
     initial_hypotheses: tuple[CauseHypothesis, ...]
-    """Hypotheses of the initial fit."""
+    """Hypotheses of the first fit: wrong units, and reference values with large misclosures."""
     indispensable_hypotheses: tuple[CauseHypothesis, ...] = ()
     """Hypotheses without which no fit was possible in an earlier step."""
     fit_before_trial_fits: NetworkFit | None = None
-    """Fit to which the `trial_fits` were added; None if a later step changed their fit."""
+    """Fit before the latest forward step; None if another step changed the fit since then."""
     trial_fits: RankedTrialFits = ()
-    """Trial fits of the latest forward step, whose first fit is `fit`; empty if a later step changed it."""
+    """Trial fits of the latest forward step, of which the first is `fit`; empty if another step changed the fit."""
 
     def trial_fits_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, RankedTrialFits] | None:
-        """Fit without a hypothesis and the trial fits in its place; None unless it is the last of a forward step."""
+        """Fit without `hypothesis`, and trial fits in its place; None unless the latest forward step selected it."""
         hypotheses, before = self.fit.hypotheses, self.fit_before_trial_fits
         is_last = before is not None and hypothesis is hypotheses[-1] and before.hypotheses == hypotheses[:-1]
         return (before, self.trial_fits) if before is not None and is_last else None
@@ -103,13 +105,13 @@ class CauseSelectionState:
 
 @single_threaded
 def select_causes(fit_input: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) -> CauseSelection:
-    """Causes of errors in a recording that increase the log evidence of the network.
+    """Hypotheses on the causes of a misfit that increase the log evidence of the network, and the fit with them.
 
     Parameters
     ----------
     fit_input : FitInput
     min_gain : float
-        Smallest gain of log evidence by a selected cause.
+        Smallest gain of log evidence at which a hypothesis is selected.
 
     Raises
     ------
@@ -132,15 +134,15 @@ def select_causes(fit_input: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) 
 
 
 def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
-    """State with one more hypothesis, the one with the largest evidence; None if none increases it enough.
+    """State with one more hypothesis, which increases the log evidence most; None if no increase is large enough.
 
-    In place of centring errors several other causes may be added.
+    Instead of centring errors, several other hypotheses are added if their log evidence is larger.
     """
     fit = state.fit
     if len(fit.hypotheses) >= MAX_SELECTED_HYPOTHESES or _is_consistent_as_a_whole(fit):
         return None
     trial_fits = _fit_best_hypotheses(fit)
-    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
+    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_PRIOR_ODDS_OF_CENTRING
     if not trial_fits or trial_fits[0][1].log_evidence < fit.log_evidence + needed:
         return None
     best = _refine_motion_time(trial_fits[0][1])
@@ -150,10 +152,10 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
 
 
 def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
-    """State without the hypotheses whose removal costs less log evidence than the smallest gain.
+    """State without those hypotheses whose removal costs less log evidence than the smallest gain.
 
     Only hypotheses that may explain the same readings as the last one are tried. Of the initial hypotheses only
-    exclusions of reference values may be removed, because no network can be fitted without the others.
+    exclusions of reference values may be removed, because no network can be fitted without the other ones.
     """
     fit, indispensable = state.fit, state.indispensable_hypotheses
     for i, h in enumerate(fit.hypotheses[:-1]):
@@ -174,10 +176,10 @@ def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
 
 
 def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSelection:
-    """State with one hypothesis exchanged for a better one; if there is no better one, the result.
+    """State with one hypothesis exchanged for a better alternative; without such an alternative, the final result.
 
     Every hypothesis is compared with its alternatives, given the other hypotheses. The hypotheses of the initial fit
-    are not compared, because the network needs them.
+    are not compared, because no network can be fitted without them.
     """
     fit, indispensable = state.fit, state.indispensable_hypotheses
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in state.initial_hypotheses]
@@ -202,7 +204,7 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
-    random_errors = NoiseFactor | CentringChange
+    random_errors = NoiseFactorChange | CentringChange
     choices.sort(key=lambda c: (isinstance(c.hypothesis.model_change, random_errors), -c.log_evidence_gain))
     return CauseSelection(fit, tuple(choices))
 
@@ -210,11 +212,12 @@ def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSel
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
     """Fit with up to `MAX_CAUSES_COMPARED_WITH_CENTRING` more causes, instead of the fit `rival` with centring errors.
 
-    Centring errors also fit the sum of several other causes. Each additional cause gains at least `min_gain_needed`.
+    Centring errors also fit the sum of several other causes. Each additional cause must gain at least
+    `min_gain_needed`.
     """
     for n_remaining in range(MAX_CAUSES_COMPARED_WITH_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
-        tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactor))
+        tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactorChange))
         if not tried or tried[0][1].log_evidence < fit.log_evidence + min_gain_needed:
             break
         fit = tried[0][1]
@@ -222,10 +225,10 @@ def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: Netwo
 
 
 def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
-    """Fit with an improved time of a sudden station motion, if this is the hypothesis accepted last.
+    """Fit with an improved time of a sudden station motion, if this is the hypothesis selected last.
 
-    The screening of times is linear. A large motion distorts the network in which it is screened, so that the time with
-    the largest gain may be several pointings off. The pointings between would then appear as further causes.
+    The screening of times is linear. A large motion distorts the network in which it is screened, so that the selected
+    time may be several pointings off. The pointings between both times would then appear as further causes.
     """
     *others, last = fit.hypotheses
     change = last.model_change
@@ -248,13 +251,13 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
 
 
 def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
-    """Fit with other hypotheses that starts at the state of `fit`; None if its log evidence is not larger."""
+    """Fit with other hypotheses, started at the state of `fit`; None if its log evidence is not larger."""
     made = _fit_or_none(fit, hypotheses)
     return made if made is not None and made.log_evidence > fit.log_evidence else None
 
 
 def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
-    """Fit with other hypotheses that starts at the state of `fit`; None if no fit is possible."""
+    """Fit with other hypotheses, started at the state of `fit`; None if no fit is possible."""
     try:
         return NetworkFit.from_start(fit.fit_input, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
@@ -262,10 +265,10 @@ def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> Ne
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
-    """True if no search is necessary: the readings are computed, or a large network passes the global test.
+    """True if no search for causes is necessary: the readings are computed, or a large network passes the global test.
 
     In a network with `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one station or target has little influence on
-    the others.
+    other stations and targets.
     """
     if fit.solution.sum_of_squares < MAX_CHI2_RATIO_OF_COMPUTED_READINGS * fit.problem.dof:
         return True
@@ -282,10 +285,10 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
 def identify_causes(
     recording: Recording, construction: GeometricErrorModel | None = None, prior: ParameterPrior | None = None
 ) -> CauseSelection | None:
-    """Causes of the misfit of a recording; None if no network can be fitted to the recording.
+    """Identified causes of the misfit of a recording, as selected hypotheses; None if no network can be fitted.
 
-    By default the model contains the errors of the declared instrument. Raises NetworkError for a recording with too
-    many pointings.
+    `construction` is the geometric error model, by default that of the declared instrument; `prior` is the prior of its
+    parameters. Raises NetworkError for a recording with too many pointings.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     recording, _ = without_copied_rows(recording)
@@ -296,9 +299,9 @@ def identify_causes(
 
 
 def _initial_fit(fit_input: FitInput) -> NetworkFit:
-    """Initial fit with corrected units and senses of rotation of set-ups, and without clearly wrong reference values.
+    """Initial fit, with corrected units and senses of rotation of set-ups, and without clearly wrong reference values.
 
-    Such errors would distort the network too much for other tests.
+    These errors would distort the network too much for other tests.
     """
     corrections = convention_corrections(fit_input.recording)
     far, count, state = NetworkFit.references_with_large_residuals(fit_input, corrections)
@@ -314,7 +317,7 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     if fit is None and (corrections or omitted):
         fit = NetworkFit.from_start(fit_input)
     if fit is None:
-        raise NetworkError("the observations contradict each other so far that no network fits them")
+        raise NetworkError("no network fits the observations, because they contradict each other too much")
     return fit
 
 
@@ -325,16 +328,16 @@ def _fit_best_hypotheses(
     *,
     excluded_change_types: tuple[type, ...] = (),
 ) -> RankedTrialFits:
-    """Fits with one more hypothesis, for the hypotheses with the largest approximate gains.
+    """Fits with one more hypothesis, for those hypotheses with the largest approximate gains from the screening.
 
     The approximate gains exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches its
-    approximate gain, only hypotheses that may explain the same readings are fitted too, because the order of causes at
-    different stations or targets has no influence. `replaced_hypothesis` and the types of model changes
-    `excluded_change_types` are left out.
+    approximate gain, only hypotheses that may explain the same readings are fitted too; later steps select causes at
+    other stations or targets. `replaced_hypothesis` and the types of model changes `excluded_change_types` are left
+    out.
     """
     first, undetermined = 0.0, 0
     tried: list[tuple[CauseHypothesis, NetworkFit]] = []
-    places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
+    places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactorChange)}
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
@@ -362,7 +365,7 @@ def _fit_best_hypotheses(
 def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, started at the present state, and at new start values if its gain is too small.
 
-    The gain is compared with `approximate_gain`, that of the screening. The result is None if no fit is possible.
+    The gain is compared with `approximate_gain` from the screening. The result is None if no fit is possible.
     """
     best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
@@ -385,10 +388,10 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approxim
 def _fit_without_hypothesis(
     fit: NetworkFit, hypothesis: CauseHypothesis, indispensable_hypotheses: tuple[CauseHypothesis, ...]
 ) -> tuple[NetworkFit | None, tuple[CauseHypothesis, ...]]:
-    """Fit without a hypothesis, or None if no fit is possible, and the indispensable hypotheses.
+    """Fit without a hypothesis (None if no fit is possible), and the indispensable hypotheses.
 
-    No fit is tried without one of the `indispensable_hypotheses`, to which the hypothesis is added if no fit is
-    possible without it.
+    No fit is tried without one of the `indispensable_hypotheses`. If no fit is possible without the hypothesis, it is
+    added to them.
     """
     if any(h is hypothesis for h in indispensable_hypotheses):
         return None, indispensable_hypotheses

@@ -1,1 +1,1 @@
-"""Undetermined and undetectable quantities of a network, and further measurements that determine them."""
+"""Undetermined parameters and undetectable effects in a network, and further measurements that determine them."""

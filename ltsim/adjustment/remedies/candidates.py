@@ -1,7 +1,7 @@
-"""Possible further measurements: pointings, set-ups, other procedures, a reference length, and near reflectors.
+"""Candidates for further measurements: pointings, set-ups, other procedures, a reference length, near reflectors.
 
-A calibration selects measurements that determine a combination of parameters. A diagnosis and a plan select
-measurements that decide between possible causes of a misfit.
+A calibration selects those that determine a combination of parameters. A diagnosis and a plan select those that decide
+between possible causes of a misfit.
 """
 
 from __future__ import annotations
@@ -19,52 +19,52 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, rotation_about_z
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
-"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to flags (N, T) of visibility.
+"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to visibility flags (N, T).
 
-A flag is True if the target is in sight from the position; no target is in sight where no tripod may stand.
+A flag is True if the target is in sight from the position. All are False at a position where no tripod may stand.
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
-"""Kind of a further measurement."""
+"""Kind of a further measurement; `return` is a repeated set-up, `survey` another procedure at all stations."""
 CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
-"""Kinds of further measurements, in the order of increasing effort."""
+"""Kinds of further measurements, in order of increasing effort."""
 CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
 N_ADDITIONAL_ROUNDS = 4
-"""Number of additional rounds (pointings to all targets) at the last station."""
+"""Number of proposed additional rounds (pointings to all targets) at the last station."""
 N_POINTINGS_TO_SUSPECT_TARGET = 3
-"""Number of additional pointings to a suspect target."""
+"""Number of proposed additional pointings to a target that may have moved."""
 MAX_REPEATED_SETUPS = 12
-"""Largest number of set-ups whose repetition is evaluated; of more set-ups, evenly spaced ones are selected."""
+"""Largest number of set-ups whose repetition is evaluated; of more set-ups, evenly spaced ones in the list are used."""
 N_GRID_POSITIONS_PER_SIDE = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_CANDIDATE_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
 REPEATED_SETUP_BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
-"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
+"""Proposed rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups of a recording from which on no additional station is evaluated, to limit the computing time."""
-MIN_PROPOSED_DISTANCE = 0.8
+"""Number of set-ups of a recording, from which on no additional station is evaluated, to limit the computing time."""
+MIN_PROPOSED_SPACING = 0.8
 """Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0
-"""Length [m] of a bar that a workshop can have calibrated."""
+"""Assumed length [m] of a reference bar that a workshop can have calibrated."""
 REFERENCE_BAR_SIGMA_MM = 0.002
-"""Standard deviation [mm] of the calibrated length of the bar."""
+"""Assumed standard deviation [mm] of the calibrated length of a reference bar."""
 BAR_CALIBRATION_TIME = 7200.0
-"""Time [s] for the calibration of the bar."""
+"""Assumed time [s] for the calibration of a reference bar."""
 NEAR_REFLECTOR_COORDINATES = np.array(
     [[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))]
 )
-"""Range [m], azimuth [rad] and elevation [rad] of each of four reflectors near a station, (4, 3)."""
+"""Range [m], azimuth [rad] and elevation [rad] of four proposed reflectors near a station, (4, 3)."""
 NEST_MOUNTING_TIME = 300.0
-"""Time [s] to mount a nest."""
+"""Assumed time [s] to mount the nest of a reflector."""
 ADVICE_SENTENCES = {
     # measurements at the last station
     "other face here": "measure all targets from {station} in the other face as well",
@@ -92,7 +92,7 @@ ADVICE_SENTENCES = {
     "{needed:.0f} needed); an independent measurement of the cause would separate them",
     "cause": "an independent measurement of its cause",
     "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
-    "network method": "use the network method: it determines this combination from the same recording",
+    "network method": "calibrate with the method network: it determines this combination from the same recording",
     "determined already": "{do} (information on this combination is {then:.0f} %)",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
 }
@@ -100,18 +100,18 @@ ADVICE_SENTENCES = {
 
 
 def advice_sentence(template_key: str, **values: object) -> str:
-    """Sentence of advice from the template with this key in `ADVICE_SENTENCES`, filled with the given values."""
+    """Sentence of advice: template `template_key` of `ADVICE_SENTENCES`, with its placeholders replaced by `values`."""
     return ADVICE_SENTENCES[template_key].format(**values)
 
 
 def list_text(names: list[str] | tuple[str, ...]) -> str:
-    """Names joined by `and`."""
+    """Names joined by the word "and"."""
     return " and ".join(names)
 
 
 @dataclass(frozen=True)
 class CandidateMeasurement:
-    """Further measurement that could be added to a recording."""
+    """Candidate for a further measurement: instruction, duration, and the network with its predicted readings."""
 
     kind: CandidateKind
     """Kind of the measurement."""
@@ -123,9 +123,9 @@ class CandidateMeasurement:
     """Network that includes the proposed measurement, with predicted readings."""
 
     def make_adjustment(self) -> Adjustment | None:
-        """Adjustment of the network with the proposed measurement; None if a pose remains undetermined.
+        """Adjustment of the network with the proposed measurement; None if it leaves a pose undetermined.
 
-        A pose remains undetermined if the additional set-up measures too few targets.
+        This happens if an additional set-up measures too few targets.
         """
         try:
             return self.network.make_adjustment()
@@ -134,7 +134,7 @@ class CandidateMeasurement:
 
     @property
     def added_setup_on_floor_plan(self) -> tuple[Floats, float] | None:
-        """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None without such a set-up."""
+        """Position (3,) [m] and yaw [rad] of an additional set-up on the floor plan; None without such a set-up."""
         state, plan = self.network.state, FloorPlanTransform.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
@@ -147,24 +147,24 @@ class CandidateMeasurement:
 class FloorPlanTransform:
     """Transformation from the frame of the network to the floor plan; the identity if there is no floor plan.
 
-    Positions on a plan are approximate, but levels are accurate: the plan determines no tilts of the network.
+    It rotates only about the vertical, because levels are more accurate than positions on a floor plan.
     """
 
     rotation_to_plan: Floats
-    """Rotation matrix (3, 3) from the frame of the network to the floor plan."""
+    """Rotation matrix (3, 3) from the frame of the network to the axes of the floor plan."""
     translation_to_plan: Floats
-    """Translation (3,) [m] from the frame of the network to the floor plan."""
+    """Translation (3,) [m] after the rotation to the axes of the floor plan."""
     has_plan: bool
     """True if the set-up declares positions of stations on a floor plan."""
 
     @classmethod
     def from_recording(cls, recording: Recording, state: NetworkState) -> Self:
-        """Transformation to the floor plan, from the stations of an adjusted network."""
+        """Transformation to the floor plan, from the station poses in `state` and their declared positions."""
         return cls.from_positions(recording.setup, recording.stations, state.station_positions, state.station_rotations)
 
     @classmethod
     def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> Self:
-        """Transformation to the floor plan, from positions (S, 3) [m] and rotations (S, 3, 3) of S stations."""
+        """Transformation to the floor plan, from network positions (S, 3) [m] and rotations (S, 3, 3) of S stations."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         station_indices = [i for i, station in setups.items() if station.position_mm is not None]
         if not station_indices:
@@ -193,7 +193,7 @@ class FloorPlanTransform:
 def pointing_candidates(
     network: PlannedNetwork, suspect_targets: Iterable[str] = (), visibility_function: VisibilityFunction | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Further pointings at the last station, before the tracker is dismantled.
+    """Candidates for further pointings at the last station, before the tracker is dismantled.
 
     `suspect_targets` are names of targets that may have moved and should be measured again.
     """
@@ -210,7 +210,7 @@ def pointing_candidates(
 
     if len(np.unique(recording.face[here])) == 1:
         yield candidate("other face here", order[::-1], 3 - usual_face)
-    yield candidate("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
+    yield candidate("close here", order[:MIN_POINTS_FOR_POSE], count=min(MIN_POINTS_FOR_POSE, len(order)))
     yield candidate("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
@@ -228,7 +228,7 @@ def pointing_candidates(
     distances = np.linalg.norm(
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
-    unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # the mark under the tripod cannot be measured
+    unseen = unseen[distances > MIN_PROPOSED_SPACING]  # the mark under the tripod cannot be measured
     if visibility_function is not None:
         places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
         plan = FloorPlanTransform.from_recording(recording, network.state)
@@ -240,7 +240,7 @@ def pointing_candidates(
 def repeated_setup_candidates(
     network: PlannedNetwork, seconds_per_move: float, stations: Iterable[int] | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Repeated set-ups at stations (indices `stations`), with the tracker's base rotated, to the same targets."""
+    """Candidates for repeated set-ups at stations (indices `stations`, default all), with rotated base."""
     recording, state = network.recording, network.state
     n_stations = len(recording.stations)
     indices = np.unique(
@@ -262,7 +262,7 @@ def repeated_setup_candidates(
 def station_candidates(
     network: PlannedNetwork, seconds_per_move: float, visibility_function: VisibilityFunction | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Additional stations on a grid of positions between and around the present stations, each with several yaws."""
+    """Candidates for additional stations, on a grid between and around the present stations, each with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
         return
@@ -279,7 +279,7 @@ def station_candidates(
     if visibility_function is not None:
         is_visible = is_visible & visibility_function(*map(plan.positions_on_plan, (places, state.target_points)))
     for position, sights in zip(places, is_visible, strict=True):
-        if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
+        if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_SPACING:
             continue
         for turn in range(N_CANDIDATE_YAWS):
             rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_CANDIDATE_YAWS)
@@ -293,7 +293,7 @@ def station_candidates(
 def _setup_candidate(
     kind: CandidateKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
 ) -> CandidateMeasurement:
-    """Additional set-up, the last station of `network`, that measures k targets `target` (k,) in all faces in use."""
+    """Candidate for an additional set-up, the last station of `network`, that measures the targets `target` (k,)."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start_time = float(recording.time.max()) + seconds_per_move
@@ -304,7 +304,7 @@ def _setup_candidate(
 
 
 def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Additional pointings at all stations by another procedure, such as both faces or another order."""
+    """Candidates for additional pointings at all stations by another procedure, such as both faces or another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
     for key in ("other face", "close", "reverse"):
@@ -319,12 +319,12 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
             yield CandidateMeasurement(
-                "survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown
+                "survey", advice_sentence(key, count=MIN_POINTS_FOR_POSE), work + len(made) * step, grown
             )
 
 
 def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
-    """Target index and face of each additional pointing from one set-up by another procedure."""
+    """Target index and face of each additional pointing from one set-up by `procedure`, a key of the advice."""
     existing = list(
         zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
     )
@@ -333,13 +333,13 @@ def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, proced
     if procedure == "close":
         return [
             (t, existing[0][1])
-            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_RIGID_POINTS].tolist()
+            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_POINTS_FOR_POSE].tolist()
         ]
     return existing[::-1]
 
 
 def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | None:
-    """Additional pointings at each station in the face that was not used; None if both faces were used."""
+    """Candidate for additional pointings at each station in the face that was not used; None if both were used."""
     first_remedy = next(procedure_candidates(network), None)
     return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 
@@ -347,7 +347,7 @@ def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | Non
 def calibrated_length_candidates(
     network: PlannedNetwork, suspect_targets: Iterable[str] = ()
 ) -> Iterator[CandidateMeasurement]:
-    """Calibrated length between those two targets, without suspects, whose distance is nearest to 2 m."""
+    """Candidate for a calibrated length of about 2 m between two targets that are not among `suspect_targets`."""
     points, names = network.state.target_points, network.recording.targets
     usable = np.flatnonzero([name not in set(suspect_targets) for name in names])
     first, second = (usable[ends] for ends in np.triu_indices(len(usable), k=1))
@@ -362,7 +362,7 @@ def calibrated_length_candidates(
 
 
 def near_reflector_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Four additional reflectors near each of the first two stations, measured from all stations."""
+    """Candidates for four additional reflectors near each of the first two stations, measured from all stations."""
     two_face_remedy = second_face_candidate(network)
     for key, start in [
         ("near", network),
@@ -391,7 +391,7 @@ def _setup_rows(recording: Recording, station: int) -> Ints:
 
 
 def _targets_in_order(target: Ints) -> Ints:
-    """Indices of the targets in the order of their first pointings."""
+    """Distinct target indices in the order of their first pointings, from the target `target` (n,) of each pointing."""
     return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
 
 

@@ -2,7 +2,7 @@
 
 An effect is detectable if the noncentrality of its change of the residuals reaches the noncentrality at which the test
 has a power of 80 % (`reliability.noncentrality`). A diagnosis tests each effect in many variants: at all stations,
-targets or instruments where it may act, and with all values of its shape constants (periods, onset times). The
+targets or instruments where it may act, and with all values of its shape parameters (periods, onset times). The
 false-alarm rate is divided equally among the effects, and then equally among the variants of each effect.
 
 References
@@ -29,18 +29,18 @@ from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 VariantT = TypeVar("VariantT")
-"""Type of one variant of an effect, an element of a sequence of variants."""
+"""Type of the elements of a sequence of variants of an effect."""
 MAX_EXAMINED_VARIANTS = 150
-"""Largest number of variants of one effect (places and shape constants) that are examined. Of more variants, an evenly
-spaced selection is examined."""
+"""Largest number of variants of one effect (stations, targets, shape parameters) that are examined. Of more variants,
+evenly spaced ones in the list are examined."""
 
 
 @cache
 def search_noncentrality(dof: int, n_variants: int) -> float:
-    """Smallest noncentrality at which a search detects an effect with `dof` parameters among `n_variants` variants.
+    """Noncentrality at which a diagnosis detects an effect with `dof` parameters in 80 % of cases.
 
-    A variant is a place (stations, targets) and a set of shape constants. The false-alarm rate is divided among all
-    variants of the effect, and among all effects of the catalogue. An unknown cause counts as one more effect.
+    The false-alarm rate is divided among all effects of the catalogue (an unknown cause counts as one more), and among
+    the `n_variants` variants of the effect: stations and targets where it acts, and values of its shape parameters.
     """
     return noncentrality(
         dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_variants * (len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS) + 1)
@@ -48,8 +48,8 @@ def search_noncentrality(dof: int, n_variants: int) -> float:
 
 
 @dataclass(frozen=True)
-class MinimalSize:
-    """Size of one parameter of an effect that a diagnosis detects with a probability of 80 %."""
+class MinimalDetectableSize:
+    """Size of one parameter of an effect that a diagnosis detects in 80 % of cases, over all variants of the effect."""
 
     effect: str
     """Name of the effect."""
@@ -58,17 +58,17 @@ class MinimalSize:
     unit: str
     """Display unit of the parameter."""
     best_size: float
-    """Smallest detectable size [SI] over all variants (places and shape constants) of the effect."""
+    """Smallest of the detectable sizes [SI] over all variants (stations, targets, shape parameters) of the effect."""
     median_size: float
-    """Median of the detectable sizes [SI] over all variants."""
+    """Median of the detectable sizes [SI] over all variants of the effect."""
     worst_size: float
-    """Largest detectable size [SI] over all variants; infinite if unknowns absorb the effect."""
+    """Largest of the detectable sizes [SI] over all variants of the effect; infinite if unknowns absorb a variant."""
     plausible_size: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
     """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over variants."""
     worst_variant: str
-    """Stations, targets and shape constants of the variant with the largest detectable size."""
+    """Text with the stations, targets and shape parameters of the variant with the largest detectable size."""
 
 
 def subsample_evenly(variants: Sequence[VariantT]) -> list[VariantT]:
@@ -82,50 +82,54 @@ def subsample_evenly(variants: Sequence[VariantT]) -> list[VariantT]:
 
 @dataclass(frozen=True)
 class EffectDetectability:
-    """Detectability of an effect in each of its variants (place and shape constants) in a network."""
+    """Detectability of an effect in a network, in each of its variants (stations, targets, shape parameters)."""
 
     name: str
     """Name of the effect."""
     parameters: tuple[tuple[Parameter, ...], ...]
-    """Parameters of the effect in each variant (place and shape constants)."""
+    """Parameters of the effect in each variant (stations, targets, shape parameters)."""
     variant_texts: tuple[str, ...]
-    """Text of the stations, targets and shape constants of each variant."""
-    minimal_sizes: tuple[Floats, ...]
+    """Text with the stations, targets and shape parameters of each variant."""
+    minimal_detectable_sizes: tuple[Floats, ...]
     """Minimal detectable size [SI] of each parameter in each variant; infinite if unknowns absorb the effect."""
     visible_fractions: tuple[float, ...]
     """Fraction of the change of the readings (sum of squares) that remains in the residuals, in each variant."""
     projected_basis: tuple[Floats, ...]
-    """Orthonormal basis of the changes of the m residuals that the effect can cause, (m, rank), for each variant.
+    """Orthonormal basis (m, rank) of the changes of the m residuals that the effect can cause, for each variant.
 
     The basis is empty for effects on the noise, and for effects whose parameters the adjustment estimates."""
 
-    def table(self) -> list[MinimalSize]:
-        """Detectable sizes of each parameter of the effect, one entry per parameter."""
+    def table(self) -> list[MinimalDetectableSize]:
+        """Minimal detectable sizes of the parameters of the effect, one entry per parameter."""
         table_rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
             visible = float(np.median([self.visible_fractions[k] for k in at]))
             for j, p in enumerate(law):
-                size = np.array([self.minimal_sizes[k][j] for k in at])
+                size = np.array([self.minimal_detectable_sizes[k][j] for k in at])
                 typical = float(np.quantile(size, 0.5, method="higher"))
                 worst = self.variant_texts[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
-                table_rows.append(MinimalSize(*row, visible, worst))
+                table_rows.append(MinimalDetectableSize(*row, visible, worst))
         return table_rows
 
 
 def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information matrix of the parameters of each noise effect; element (i, j) is half the trace of P D_i P D_j.
+    """Information matrices of the parameters of noise effects, one per effect in `variants`.
 
-    P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
-    by differences over a tenth of its plausible size.
+    Element (i, j) is half the trace of P D_i P D_j. P is the projector onto the residual space, D_i the diagonal matrix
+    of the derivatives of the whitened variances by parameter i, by differences over a tenth of its plausible size.
     """
     problem, changes = residual_space.adjustment.problem, []
     for effect in variants:
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
-            upper = effect.variance(residual_space.sightings, problem.sigma, step)
-            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.is_used_reading])
+            upper = effect.variance(residual_space.sightings, problem.reading_sigmas, step)
+            changes.append(
+                ((upper - problem.reading_sigmas**2) / (problem.reading_sigmas**2 * step.sum()))[
+                    problem.is_used_reading
+                ]
+            )
     stack = np.array(changes)
     n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
@@ -137,7 +141,7 @@ def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[
 
 
 def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect in all `variants` that a search tests; None if no variant changes residuals."""
+    """Detectability of one effect in all its `variants`; None if no variant changes the residuals."""
     selected_variants = subsample_evenly(variants)
     noises = [effect for effect in selected_variants if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
@@ -160,28 +164,28 @@ def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[
 def effect_detectability(
     visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], n_variants: int
 ) -> EffectDetectability:
-    """Detectability of one effect from the part of its changes of readings that remains in the residuals.
+    """Detectability of one effect, from that part of its changes of the readings which remains in the residuals.
 
     Each element of `visible_effects` contains a variant of the effect, the information matrix of its parameters, the
-    visible fraction (that remains in the residuals), the rank, and an orthonormal basis of the change of the residuals.
-    `n_variants` is the number of variants that a search tests.
+    fraction of the change that remains in the residuals, the rank of the matrix, and an orthonormal basis of the change
+    of the residuals. `n_variants` is the number of variants that a diagnosis tests.
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), n_variants) for dof in spent]
-    minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
+    minimal_detectable_sizes = tuple(map(_minimal_detectable_sizes, information, noncentralities))
     names, laws = tuple(map(_variant_text, effects)), tuple(effect.parameters for effect in effects)
-    return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
+    return EffectDetectability(effects[0].name, laws, names, minimal_detectable_sizes, visible, columns)
 
 
 def visible_information(
     gram_matrices: Floats, column_norms: Floats, min_visible_fraction: float
 ) -> tuple[Floats, Floats, Ints]:
-    """Information matrices (..., q, q) of effects, visible fractions (...), and ranks (...) of the matrices.
+    """Information matrices (..., q, q) of effects with q parameters, visible fractions (...), and ranks (...).
 
-    `gram_matrices` (..., q, q) are the inner products of the projected design columns of q parameters, which had unit
-    length before the projection, `column_norms` (..., q) the original lengths. The visible fraction of an
-    effect is the part of its change of the readings (sum of squares) that remains in the residuals. Eigenvalues and
-    squared lengths below `min_visible_fraction` count as rounding errors.
+    The visible fraction of an effect is the part of its change of the readings (sum of squares) that remains in the
+    residuals. The design columns of the effects had the lengths `column_norms` (..., q) before they were scaled to unit
+    length and projected onto the residual space. `gram_matrices` (..., q, q) are the inner products after the
+    projection. Eigenvalues and squared lengths below `min_visible_fraction` count as rounding errors.
     """
     share = np.einsum("...ii->...i", gram_matrices)
     visible_norms = np.where(share < min_visible_fraction, 0.0, column_norms)
@@ -189,16 +193,19 @@ def visible_information(
     return gram_matrices * visible_norms[..., :, None] * visible_norms[..., None, :], np.mean(share, axis=-1), rank
 
 
-def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
-    """Minimal detectable size (q,) of each of q parameters if it acts alone; infinite without information."""
+def _minimal_detectable_sizes(information: Floats, noncentrality: float) -> Floats:
+    """Minimal detectable sizes (q,) of q parameters, each acting alone, from their information matrix (q, q).
+
+    A size is infinite if there is no information. `noncentrality` is that of detection.
+    """
     diagonal = np.diag(information)
-    minimal_sizes = np.full(len(diagonal), np.inf)
-    minimal_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
-    return minimal_sizes
+    minimal_detectable_sizes = np.full(len(diagonal), np.inf)
+    minimal_detectable_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
+    return minimal_detectable_sizes
 
 
 def _variant_text(effect: Effect) -> str:
-    """Text of the stations, targets and shape constants of an effect."""
+    """Text with the stations, targets and shape parameters of an effect."""
     names = [*effect.stations, *effect.targets]
     for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
@@ -210,8 +217,8 @@ def _variant_text(effect: Effect) -> str:
 def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of an effect whose parameters the adjustment estimates as instrument parameters.
 
-    A diagnosis does not test such an effect. Its detectable size is the size at which the estimate of its parameter
-    differs significantly from zero.
+    A diagnosis does not test such an effect. Its minimal detectable size is that at which the estimate differs
+    significantly from zero in 80 % of cases.
     """
     indices = [adjustment.construction.parameter_index(p.name) for p in effect.parameters]
     block, prior = (
@@ -220,12 +227,12 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < SQRT_MACHINE_EPSILON] = 0.0
-    minimal_sizes = _minimal_sizes(information, noncentrality(len(information)))
-    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
+    minimal_detectable_sizes = _minimal_detectable_sizes(information, noncentrality(len(information)))
+    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_detectable_sizes,), (1.0,), ())
 
 
 def explained_fraction(first_detectability: EffectDetectability, second_detectability: EffectDetectability) -> float:
-    """Fraction of the change of the residuals by one effect that another effect explains.
+    """Fraction of the change of the residuals by a first effect that a second effect explains.
 
     The second effect is taken in the variant that explains most, as in a diagnosis. The result is the median over the
     variants of the first effect.
@@ -247,17 +254,17 @@ class CatalogueDetectability:
     """Detectability of all effects of the catalogue in one network."""
 
     effects: tuple[EffectDetectability, ...]
-    """Detectability of each effect whose parameters are estimated or which changes the residuals."""
+    """Detectability of each effect that changes the residuals, or whose parameters the adjustment estimates."""
     undetectable_effects: tuple[str, ...]
     """Names of effects that do not change the residuals, or that depend on data which the recording lacks."""
     detectable_effects: tuple[str, ...]
-    """Names of the effects that change the residuals."""
+    """Names of the e effects that change the residuals."""
     explained_fractions: Floats
-    """Fractions (e, e) of the change of the residuals by effect i that effect j explains, in the order of the e
+    """Fractions (e, e) of the change of the residuals by effect i that effect j explains, for the e
     `detectable_effects`."""
 
-    def table(self) -> list[MinimalSize]:
-        """Detectable sizes of each parameter of every effect, one entry per parameter."""
+    def table(self) -> list[MinimalDetectableSize]:
+        """Minimal detectable sizes of the parameters of all effects, one entry per parameter."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable_pairs(self) -> list[tuple[str, str, float]]:
@@ -279,9 +286,9 @@ class CatalogueDetectability:
 def catalogue_detectability(
     adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]
 ) -> CatalogueDetectability:
-    """Detectability of all effects of a catalogue in a network, at its adjusted or nominal coordinates.
+    """Detectability of all effects of a catalogue in an adjusted or planned network.
 
-    Effects whose parameters the adjustment estimates are treated as estimated, all others as tested effects.
+    Effects whose parameters the adjustment estimates are treated as estimated, all others as tested by a diagnosis.
     """
     space = ResidualSpace.from_adjustment(adjustment)
     estimated_names = set(adjustment.construction.parameter_names)
@@ -293,7 +300,7 @@ def catalogue_detectability(
             reports.append(calibrated_effect_detectability(adjustment, kind()))
             continue
         effect_report = detectability_of_variants(space, kind.candidates(adjustment.sightings))
-        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):
+        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_detectable_sizes):
             silent.append(kind.name)
         if effect_report is not None:
             reports.append(effect_report)

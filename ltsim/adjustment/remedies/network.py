@@ -1,7 +1,7 @@
 """Network with hypothetical pointings: a recording, extended by measurements that have not been made.
 
-Covariances do not depend on readings. The adjusted network predicts the readings of hypothetical pointings, and the
-adjustment of the extended network gives its precision.
+The adjusted network predicts the readings of hypothetical pointings. Covariances do not depend on readings, so that an
+adjustment of the extended network gives the precision after these pointings.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class PlannedNetwork:
     def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
         """Network of an adjustment, without its rejected readings.
 
-        The error model is `construction`, by default that of the adjustment. If its parameters are not those of the
-        adjustment, they are zero.
+        The geometric error model is `construction`, by default that of the adjustment. With another number of
+        parameters, the parameters are zero.
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
@@ -63,14 +63,15 @@ class PlannedNetwork:
         )
 
     def make_adjustment(self) -> Adjustment:
-        """Adjustment of this network; raises NetworkError if a pose is undetermined.
+        """Adjustment of this network at its state; raises NetworkError if a pose is undetermined.
 
-        The adjustment is not cached, because each of many proposals has its own adjustment, of 8 MB in a large network.
+        The adjustment is not cached, because many candidate measurements have an adjustment, of 8 MB in a large
+        network.
         """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance_and_prior_sigma(self) -> tuple[Floats, Floats]:
-        """Posterior covariances (I, p, p) [SI] of p parameters of I instruments; prior standard deviations (I, p)."""
+        """Posterior covariances (I, p, p), prior standard deviations (I, p) [SI] of p parameters of I instruments."""
         adjustment = self.make_adjustment()
         problem = adjustment.problem
         return adjustment.covariance_submatrices(problem.unknowns.instrument_columns), problem.prior.sigma
@@ -86,11 +87,11 @@ class PlannedNetwork:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> PlannedNetwork:
-        """Network with k additional pointings from the stations `station` to the targets `target`, after all others.
+        """Network with k additional pointings from the stations `station` to the targets `target`.
 
-        `station` and `target` are indices, `face` is 1 or 2; each has one element per pointing (k,), `station` and
-        `face` may be one number for all. `time` [s] is the time of the first additional pointing, or of each (k,); by
-        default the pointings follow the last pointing of the recording.
+        `station` and `target` (k,) are indices, `face` (k,) is 1 or 2; `station` and `face` may be one number for all
+        pointings. `time` [s] is the time of each additional pointing (k,), or of the first one; by default they follow
+        the last pointing of the recording.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)

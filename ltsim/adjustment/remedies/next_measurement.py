@@ -1,8 +1,8 @@
 """Next measurement that gives most information on the instrument, or that decides between possible causes of a misfit.
 
 The expected evidence between two causes is a difference of chi-square. If the first cause is true, it is the squared
-length of that part of its change of the residuals which no variant of the second cause (place, shape constants)
-explains. As the true cause is unknown, the smaller of the two differences is used.
+length of that part of its change of the residuals which no variant of the second cause (stations, targets, shape
+parameters) explains. As the true cause is unknown, the smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
 """Smallest expected difference of chi-square at which two possible causes count as distinguished."""
-N_EVALUATED_STATIONS = 24
-"""Number of candidate stations for which the evidence between causes is computed: the stations with most information on
-the instrument."""
+N_EVALUATED_CANDIDATE_STATIONS = 24
+"""Number of candidate stations for which the evidence between possible causes is computed: the stations that give most
+information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
 """Default time [s] to move the instrument and to set it up again."""
 
@@ -57,13 +57,13 @@ def no_progress(*_arguments: object) -> None:
 
 
 @dataclass(frozen=True)
-class Explanation:
-    """Possible cause of a misfit: the variant of an effect (place, shape constants) that fits the recording best."""
+class PossibleCause:
+    """Possible cause of a misfit: an effect in its best-fitting variant (stations, targets, shape parameters)."""
 
     effect: Effect
-    """Effect with its stations, targets and shape constants."""
+    """Effect with its stations, targets and shape parameters."""
     parameter_values: Floats
-    """Estimates of the p parameters of the effect, (p,) [SI]."""
+    """Estimates (p,) [SI] of the p linear parameters of the effect."""
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
@@ -71,20 +71,20 @@ def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffe
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
-def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
-    """Variant of the effect `name` (place, shape constants) that fits a recording best, with its size.
+def best_explanation(residual_space: ResidualSpace, name: str) -> PossibleCause:
+    """Best-fitting variant (stations, targets, shape parameters) of the effect `name` in a recording, with its size.
 
-    Raises ModelError for an unknown effect, and for an effect that does not change the residuals.
+    Raises ModelError for an unknown effect, for an effect on the noise, and if the effect does not change residuals.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
-        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
-    best_so_far: Explanation | None = None
+        raise ModelError(f"{name} changes the noise; only effects that shift readings can be distinguished here")
+    best_so_far: PossibleCause | None = None
     least = float(residual_space.whitened_residuals @ residual_space.whitened_residuals)
     for effect in kind.candidates(residual_space.sightings):
         values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.whitened_residuals)
         if sum_of_squares < least:
-            least, best_so_far = sum_of_squares, Explanation(effect, values)
+            least, best_so_far = sum_of_squares, PossibleCause(effect, values)
     if best_so_far is None:
         raise ModelError(
             f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
@@ -93,9 +93,9 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
 
 
 def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Parameters (p,) [SI] of an effect that fit m whitened residuals (m,) best, and remaining sum of squares.
+    """Best-fitting values (p,) [SI] of the p parameters of an effect to whitened residuals (m,), and remaining squares.
 
-    The effect has p parameters.
+    The last result is the sum of squared residuals after the fit.
     """
     projected_design = residual_space.project(residual_space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
@@ -105,15 +105,15 @@ def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, resi
 
 
 @dataclass(frozen=True)
-class RivalExplanations:
-    """Two possible causes of a misfit, with the variants (place, shape constants) in which one imitates the other."""
+class RivalCauses:
+    """Two possible causes of a misfit, with the variants (stations, targets, shape) in which one imitates the other."""
 
-    first_explanation: Explanation
+    first_explanation: PossibleCause
     """First possible cause."""
-    second_explanation: Explanation
+    second_explanation: PossibleCause
     """Second possible cause."""
     rival_variants: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
-    """Variants of the second cause, each preceded by the chi-square of the first cause that it does not explain.
+    """Variants of the second cause, each preceded by the chi-square of the first cause that it leaves unexplained.
 
     The variant with the smallest chi-square is first. In the second element of the tuple the causes are exchanged.
     Further pointings never decrease these values of chi-square, so that only variants with small values must be
@@ -121,9 +121,9 @@ class RivalExplanations:
 
     @classmethod
     def from_explanations(
-        cls, residual_space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
-    ) -> RivalExplanations:
-        """Pair of two possible causes, compared in the residuals of a recording."""
+        cls, residual_space: ResidualSpace, first_explanation: PossibleCause, second_explanation: PossibleCause
+    ) -> RivalCauses:
+        """Pair of two possible causes, compared in the residual space of the present recording."""
         return cls(
             first_explanation,
             second_explanation,
@@ -135,13 +135,13 @@ class RivalExplanations:
 
     @property
     def present_chi2_difference(self) -> float:
-        """Difference of chi-square between the two causes in the present recording."""
+        """Expected difference of chi-square between the two causes with the present recording alone."""
         return min(variants[0][0] for variants in self.rival_variants)
 
     def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
-        """Expected difference of chi-square between two causes in an extended recording with `residual_space`.
+        """Expected difference of chi-square between the two causes in an extended recording with `residual_space`.
 
-        The difference is the smaller of two values: first cause true, or second cause true.
+        It is the smaller of two values: if the first cause is true, and if the second cause is true.
         """
         least = []
         for truth, rival_variants in zip(
@@ -160,9 +160,9 @@ class RivalExplanations:
 
 
 def _variants_with_unexplained_part(
-    residual_space: ResidualSpace, true_explanation: Explanation, rival: Effect
+    residual_space: ResidualSpace, true_explanation: PossibleCause, rival: Effect
 ) -> list[tuple[float, Effect]]:
-    """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it does not explain.
+    """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it leaves unexplained.
 
     The variant with the smallest chi-square is first.
     """
@@ -178,13 +178,13 @@ def _variants_with_unexplained_part(
 
 @dataclass(frozen=True)
 class MeasurementProposal(ValueEquality):
-    """Proposed measurement with its expected benefit."""
+    """Proposed further measurement with its expected benefit."""
 
     candidate: CandidateMeasurement
-    """Proposed measurement."""
+    """Proposed measurement: instruction, duration and network with predicted readings."""
     remaining_sigma_fraction: float
-    """Standard deviation of an instrument parameter with the measurement, divided by the standard deviation without it;
-    geometric mean over the principal axes of the covariance."""
+    """Ratio of the standard deviation of the instrument parameters with the measurement to that without it; geometric
+    mean over the principal axes of their covariance."""
     most_improved_parameter: str
     """Name of the instrument parameter whose standard deviation decreases most."""
     most_improved_sigma_fraction: float
@@ -201,10 +201,11 @@ class MeasurementProposal(ValueEquality):
         adjustment: Adjustment,
         expected_chi2_differences: dict[str, float] | None = None,
     ) -> MeasurementProposal:
-        """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
+        """Proposal of a measurement, from the present adjustment and the adjustment with the measurement.
 
         `expected_chi2_differences` contains the expected difference of chi-square between the first possible cause and
-        each other cause. For an instrument without parameters the ratios of standard deviations are 1.
+        each other cause, by name of the other cause. For an instrument without parameters the ratios of standard
+        deviations are 1.
         """
         if not adjustment.construction.n_parameters:
             return cls(candidate, 1.0, "", 1.0, expected_chi2_differences or {})
@@ -222,19 +223,19 @@ class MeasurementProposal(ValueEquality):
 
     @property
     def distinguished_explanations(self) -> tuple[str, ...]:
-        """Names of the possible causes that the measurement would distinguish from the first cause."""
+        """Names of the possible causes that the measurement would distinguish from the first possible cause."""
         return tuple(name for name, value in self.expected_chi2_differences.items() if value >= MIN_DECISIVE_CHI2)
 
     @property
     def distinguishes_all(self) -> bool:
-        """True if the measurement would distinguish all other possible causes from the first cause."""
+        """True if the measurement would distinguish all other possible causes from the first one."""
         return bool(self.expected_chi2_differences) and len(self.distinguished_explanations) == len(
             self.expected_chi2_differences
         )
 
     @property
     def sort_key(self) -> tuple[int, int, float, float]:
-        """Sort key, smaller for better proposals: number of distinguished causes, then effort, then evidence."""
+        """Sort key, smaller for better proposals: by number of distinguished causes, then effort, then evidence."""
         decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2_differences.values())
         if not self.distinguished_explanations:
             return 0, 0, 0.0, -decisive_chi2
@@ -255,12 +256,12 @@ class RankedProposals(ValueEquality):
     compared_explanations: tuple[str, ...] = ()
     """Names of the possible causes to distinguish; empty for a ranking by information on the instrument."""
     present_chi2_differences: dict[str, float] = field(default_factory=dict)
-    """Difference of chi-square between the first and each other cause in the present recording, by name of the other
-    cause."""
+    """Difference of chi-square between the first and each other possible cause in the present recording, by name of the
+    other cause."""
 
     @property
     def advice_sentence(self) -> str:
-        """Sentence on the best proposal: it decides between possible causes, or is most informative."""
+        """Sentence with the best proposal, and what it decides between possible causes."""
         best_proposal = self.proposals[0]
         if not self.compared_explanations:
             return best_proposal.candidate.instruction
@@ -324,7 +325,7 @@ def rank_next_measurements(
 
 def rank_deciding_measurements(
     adjustment: Adjustment,
-    explanations: Sequence[Explanation],
+    explanations: Sequence[PossibleCause],
     extra_effects: Sequence[LinearEffect] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
@@ -341,7 +342,7 @@ def rank_deciding_measurements(
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
     space = residual_space_of(planned_adjustment, extra_effects)
-    rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
+    rivals = {other.effect.name: RivalCauses.from_explanations(space, first, other) for other in others}
     decided_names = [name for name, pair in rivals.items() if pair.present_chi2_difference >= MIN_DECISIVE_CHI2]
     if len(decided_names) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
@@ -350,7 +351,7 @@ def rank_deciding_measurements(
     repeat_remedies = sorted(repeated_setup_candidates(network, seconds_per_move), key=_effort_rank)
     lengths = calibrated_length_candidates(network, suspects)
     costly_remedies = sorted([*procedure_candidates(network), *lengths], key=_effort_rank)
-    n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_STATIONS + len(costly_remedies)
+    n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_CANDIDATE_STATIONS + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
     stations = _most_informative_stations(network, seconds_per_move, visibility_function)
     every = chain(nearby_candidates, repeat_remedies, stations, costly_remedies)
@@ -375,7 +376,7 @@ def rank_deciding_measurements(
 def _proposals_for(
     candidates: Iterable[CandidateMeasurement], present_adjustment: Adjustment
 ) -> Iterator[MeasurementProposal]:
-    """Proposals for those candidate measurements with which the network determines all poses."""
+    """Proposals for those candidate measurements that do not leave a pose undetermined."""
     for candidate in candidates:
         adjustment = candidate.make_adjustment()
         if adjustment is not None:
@@ -383,7 +384,7 @@ def _proposals_for(
 
 
 def _effort_rank(candidate: CandidateMeasurement) -> tuple[int, float]:
-    """Effort of a measurement: rank of its kind, then its duration [s]."""
+    """Effort of a measurement as a sort key: rank of its kind by effort, then its duration [s]."""
     return CANDIDATE_KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
 
 
@@ -393,5 +394,5 @@ def _most_informative_stations(
     """Candidate stations that give most information on the instrument, the station with the shortest duration first."""
     remedies = station_candidates(network, seconds_per_move, visibility_function)
     proposals = _proposals_for(remedies, network.make_adjustment())
-    best_proposals = sorted(proposals, key=lambda p: p.remaining_sigma_fraction)[:N_EVALUATED_STATIONS]
+    best_proposals = sorted(proposals, key=lambda p: p.remaining_sigma_fraction)[:N_EVALUATED_CANDIDATE_STATIONS]
     yield from sorted((p.candidate for p in best_proposals), key=_effort_rank)

@@ -1,8 +1,9 @@
 """Combinations of instrument parameters that a recording does not determine, and measurements that determine them.
 
-For parameters in units of their prior standard deviations, the eigenvalues of the posterior covariance lie between 0
-and 1. The gain of a combination is one minus its eigenvalue: the fraction of its prior variance that the readings
-removed. A combination with a gain below one half is undetermined, because its prior is more precise than the readings.
+With the parameters in units of their prior standard deviations, the eigenvalues of the posterior covariance lie between
+0 and 1. The gain of a combination (eigenvector) is one minus its eigenvalue: the fraction of its prior variance that
+the readings remove. A combination with a gain below one half is undetermined, because its prior is more precise than
+the readings.
 """
 
 from collections.abc import Sequence
@@ -28,22 +29,23 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
-"""Smallest gain (fraction of the prior variance that the readings remove) of a determined combination."""
+"""Smallest gain (fraction of the prior variance that the readings remove) of a determined parameter combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain of a parameter combination (fraction of its prior variance that the readings remove), below which combinations
-count as equally undetermined. Such combinations are rotated among each other, so that each contains few parameters."""
+"""Gain (fraction of the prior variance that the readings remove), below which parameter combinations count as equally
+undetermined. Such combinations are replaced by linear combinations of them that contain few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
 """Absolute coefficient of a parameter in a combination of parameters, above which the parameter is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
-"""Smallest increase of the gain of a parameter combination by a proposed measurement: half of `MIN_DETERMINED_GAIN`."""
+"""Smallest increase of the gain (fraction of the prior variance that the readings remove) of a parameter combination by
+a proposed measurement."""
 
 
 @dataclass(frozen=True)
 class ParameterCombination:
-    """Linear combination of parameters in units of their prior standard deviations, and its gain."""
+    """Linear combination of parameters in units of their prior standard deviations, and how well it is determined."""
 
     coefficient_vector: Floats
-    """Coefficients of the p parameters, a unit vector (p,)."""
+    """Coefficients (p,) of the p parameters, a unit vector."""
     gain: float
     """Fraction of the prior variance that the readings removed."""
 
@@ -62,8 +64,8 @@ class ParameterCombination:
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
     """Gains (p,) in ascending order, and the combinations of p parameters with these gains, as columns (p, p).
 
-    A gain is 1 minus the ratio of posterior to prior variance. The parameters are in units of `prior_sigma` (p,);
-    `covariance` (p, p) is their posterior covariance.
+    A gain is 1 minus the ratio of posterior to prior variance. `covariance` (p, p) is the posterior covariance of the
+    parameters, `prior_sigma` (p,) are the prior standard deviations, which are the units of the combinations.
     """
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled_covariance + scaled_covariance.T))
@@ -95,11 +97,10 @@ def _index_of_first_largest(sizes: Floats) -> int:
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the span of k orthonormal columns `vectors` (p, k), by the varimax rotation.
+    """Orthonormal basis (p, k) of the span of k orthonormal columns `vectors` (p, k) with few large elements (varimax).
 
-    Each basis vector has few large elements among the p parameters. The result depends only on the span of the columns:
-    the rotations of pairs of columns start at a basis that is formed by projections of the parameters, and are iterated
-    until convergence.
+    The result depends only on the span of the columns: the rotations of pairs of columns start at a basis that is
+    formed by projections of the p parameters, and are iterated until convergence.
 
     References
     ----------
@@ -126,7 +127,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
 
 
 def _basis_of_span(vectors: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the span of k orthonormal columns (p, k), by pivoted Cholesky of its projector."""
+    """Orthonormal basis (p, k) of the span of `vectors` (p, k), by pivoted Cholesky factorisation of its projector."""
     projector, basis = vectors @ vectors.T, np.empty_like(vectors)
     for k in range(vectors.shape[1]):
         i = _index_of_first_largest(np.diag(projector))
@@ -141,7 +142,8 @@ class MeasurementForCombination(NamedTuple):
     instruction: str = ""
     """Instruction to the user; empty if no tested measurement determines the combination."""
     sentence: str = ""
-    """Sentence with the instruction and the gain, or on the lack of such a measurement; empty without a search."""
+    """Sentence with the instruction and the gain, or that no tested measurement determines it; empty without a
+    search."""
 
 
 def measurements_for_undetermined(
@@ -150,12 +152,12 @@ def measurements_for_undetermined(
     weak_combinations: Sequence[Sequence[ParameterCombination]],
     suspect_targets: Sequence[str] = (),
 ) -> list[list[MeasurementForCombination]]:
-    """Measurements that determine the undetermined combinations of each instrument.
+    """Measurements that determine the undetermined parameter combinations of each instrument, one list per instrument.
 
     The proposal for a combination is the first measurement that increases its gain (fraction of the prior variance that
-    readings remove) above one half, or otherwise the measurement with the largest increase. `weak_combinations` are the
-    combinations of each instrument, `construction` is the error model with their parameters. Targets named in
-    `suspect_targets`, which may have moved, are no ends of a proposed length. The result has one list per instrument.
+    the readings remove) above one half, otherwise the measurement with the largest increase. `weak_combinations` are
+    the undetermined combinations of each instrument, `construction` is the error model with their parameters. Targets
+    named in `suspect_targets`, which may have moved, are not used as ends of a proposed length.
     """
     if not any(weak_combinations):
         return [[] for _ in weak_combinations]
@@ -185,7 +187,7 @@ def measurements_for_undetermined(
 def _gains_of_combinations(
     network: PlannedNetwork, weak_combinations: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
-    """Fraction of the prior variance of each combination of each instrument that the readings of a network remove.
+    """Gain of each combination of each instrument: fraction of its prior variance that the readings remove.
 
     The gains are zero if the network does not determine all poses.
     """
@@ -204,8 +206,8 @@ def _measurement_for_combination(
 ) -> MeasurementForCombination:
     """Measurement that determines one combination of parameters.
 
-    `candidates_with_gains` contains the instruction of each possible measurement and the gain of the combination with
-    it; `present_gain` is the gain without a further measurement.
+    `candidates_with_gains` contains the instruction of each candidate measurement and the gain of the combination with
+    it (fraction of the prior variance that the readings remove); `present_gain` is the gain without it.
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_design
+from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
+from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_jacobian
 from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
@@ -71,7 +71,7 @@ def _linearised_change(
 
 def station_motion_design(sightings: Sightings) -> Floats:
     """Derivatives (n, 3, 6) of the readings of n pointings with respect to translation and rotation of the station."""
-    return pose_design(sightings.target_derivatives, sightings.sight_vectors)
+    return pose_jacobian(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change_by_target_positions(sightings: Sightings, local_points: Floats) -> Floats:
@@ -79,7 +79,7 @@ def reading_change_by_target_positions(sightings: Sightings, local_points: Float
 
     The positions are in the frame of the instrument.
     """
-    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
+    change: Floats = swap_front_and_raw(to_polar(local_points), sightings.face) - sightings.ideal_raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
     return change
 

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
+from ltsim.geometry.polar import polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
 from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
@@ -84,7 +84,7 @@ class GeometricErrorModel:
     def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Kinematic chain with an additional error in each motion that is a reading, and keys of the three errors."""
         zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
-        functions = [m.nominal_amount_function for m in self.kinematic_chain]
+        functions = [m.motion_amount_function for m in self.kinematic_chain]
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
@@ -158,7 +158,7 @@ class GeometricErrorModel:
         about 1e-5. The last step is omitted if this factor predicts a step below `tolerance`.
         """
         polar = to_polar(points)
-        raw = to_face(polar, face)
+        raw = swap_front_and_raw(polar, face)
         if not np.any(parameter_values):
             return raw
         by_point, before = polar_jacobian(polar, face), np.inf

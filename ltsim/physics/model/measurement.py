@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
-from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rigid import pose_jacobian
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -327,7 +327,7 @@ class MeasurementModel:
         if self.effects_and_nuisance_errors:
             sightings = self._with_normals_and_readings(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
-        by_pose = pose_design(by_target, sightings.sight_vectors)
+        by_pose = pose_jacobian(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.effects_and_nuisance_errors:
             extra = zip(self.effects_and_nuisance_errors, self._values_by_effect(state.extra_parameters), strict=True)

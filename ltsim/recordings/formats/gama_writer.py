@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import GON, MILLIMETRE
-from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.polar import from_polar, swap_front_and_raw
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
 from ltsim.recordings.formats.gama_network import FIXED_COORDINATE_SIGMA_MM
@@ -117,14 +117,14 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm], by name, of the targets that the first set-up measured completely, in its frame."""
-    points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
+    points = (from_polar(swap_front_and_raw(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in complete_rows}
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
     """XML elements of the observations from each set-up: directions, zenith angles and distances."""
-    front, sigma = to_face(recording.readings, recording.face), recording.reading_sigmas()
+    front, sigma = swap_front_and_raw(recording.readings, recording.face), recording.reading_sigmas()
     instrument, target_height = (h.tolist() for h in recording.heights_above_marks())
     is_horizontal_distance = recording.is_horizontal_distance
     for s, station in enumerate(recording.stations):

@@ -25,7 +25,7 @@ from ltsim.core.units import (
     SI_PER_UNIT,
     unit_ratio,
 )
-from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
+from ltsim.geometry.polar import beam_frame_axes, from_polar, to_polar
 from ltsim.recordings.conventions import (
     AZIMUTH_SENSE_UNKNOWN_NOTE,
     AzimuthSense,
@@ -368,7 +368,7 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
     sigmas = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
     variance = (np.stack(sigmas, axis=1) * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T
-    squared_directions = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
+    squared_directions = np.stack(beam_frame_axes(azimuth, elevation), axis=1) ** 2
     horizontal_length = np.maximum(range_ * np.cos(elevation), 1e-9)
     units = np.stack([np.full(len(range_), MILLIMETRE), horizontal_length * ARCSECOND, range_ * ARCSECOND], axis=1)
     sigma = np.sqrt(np.einsum("nki,ni->nk", squared_directions, variance)) / units

@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
-from ltsim.geometry.polar import to_face
+from ltsim.geometry.polar import swap_front_and_raw
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints, floor_plan_poses
 from ltsim.recordings.curvature import with_earth_curvature
@@ -218,7 +218,7 @@ def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], 
         or not np.isfinite(readings[is_second_face, 2]).any()
     ):
         return faces, []
-    readings[:] = to_face(readings, np.array(faces))
+    readings[:] = swap_front_and_raw(readings, np.array(faces))
     readings[is_second_face, 1] %= 2 * np.pi
     return faces, ["readings of face 2 were reduced to face 1 and are converted back to circle readings"]
 

@@ -159,7 +159,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         for column, (component, colour, marker) in enumerate(TWO_FACE_COMPONENT_MARKERS):
             label = component if n_drawn == 0 else None
             ax.plot(places, ratios[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
-        rows = setup.row_numbers[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
+        rows = setup.row_numbers[setup.two_face_differences.uncorrected_pairs.pointing_indices[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         n_drawn += len(ratios)
         ax.axvline(n_drawn - 0.5, ymax=AXES_HEIGHT_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)

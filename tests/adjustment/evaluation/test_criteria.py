@@ -10,9 +10,9 @@ import pytest
 
 from ltsim.adjustment.evaluation import evaluate_criteria, read_nominal, verify_against_nominal
 from ltsim.adjustment.evaluation.criteria import (
-    coordinate_differences,
-    distance_differences,
-    distance_differences_to_first,
+    coordinate_disagreement,
+    distance_disagreement,
+    distance_disagreement_with_first_station,
 )
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.geometry.rigid import matrix_from_rotation_vector
@@ -59,11 +59,11 @@ def parameters(**values: float) -> np.ndarray:
 def test_distance_criterion_by_hand() -> None:
     base = np.array([[0.0, 0, 0], [1, 0, 0]])
     clouds = np.stack([base, base * 1.001, base * 1.002, base * np.nan])
-    found = distance_differences(clouds)
+    found = distance_disagreement(clouds)
     # Lengths 1.000, 1.001, 1.002: deviations from their mean 1.001 are 1, 0, 1 mm.
     assert found.mean == pytest.approx(2e-3 / 3)
     assert found.maximum == pytest.approx(2e-3 / 3)
-    assert distance_differences_to_first(clouds).mean == pytest.approx(1.5e-3)
+    assert distance_disagreement_with_first_station(clouds).mean == pytest.approx(1.5e-3)
 
 
 def test_criteria_term_by_term() -> None:
@@ -73,10 +73,10 @@ def test_criteria_term_by_term() -> None:
     for i, j in combinations(range(6), 2):
         lengths = [np.linalg.norm(cloud[i] - cloud[j]) for cloud in clouds]
         slow.append(np.mean([abs(d - np.mean(lengths)) for d in lengths]))
-    assert np.allclose(distance_differences(clouds).disagreements, slow)
+    assert np.allclose(distance_disagreement(clouds).disagreements, slow)
     pairs = list(combinations(range(3), 2))
     gaps = [[np.linalg.norm(clouds[m, i] - clouds[n, i]) for m, n in pairs] for i in range(6)]
-    assert np.allclose(coordinate_differences(clouds).disagreements, np.mean(gaps, axis=1))
+    assert np.allclose(coordinate_disagreement(clouds).disagreements, np.mean(gaps, axis=1))
 
 
 def test_a_perfect_tracker_has_no_differences_and_poses_do_not_matter() -> None:
@@ -172,7 +172,7 @@ def test_memory_follows_what_is_seen_and_not_all_pairs() -> None:
     for s in range(count):
         clouds[s, 25 * s : 25 * s + 50] = base[25 * s : 25 * s + 50] + rng.normal(0, 1e-5, (50, 3))
     tracemalloc.start()
-    pairs, places = distance_differences(clouds), coordinate_differences(clouds)
+    pairs, places = distance_disagreement(clouds), coordinate_disagreement(clouds)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(pairs.disagreements) == 99 * 25 * 24 / 2

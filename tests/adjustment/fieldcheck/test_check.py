@@ -14,7 +14,7 @@ from scipy import stats
 import ltsim as lt
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck import Check, check
-from ltsim.adjustment.fieldcheck.check import best_bump
+from ltsim.adjustment.fieldcheck.check import best_fitting_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
 from ltsim.adjustment.fieldcheck.sentences import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
@@ -176,7 +176,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     found = lt.adjust(recording, robust=True)
     assert found.outliers == ()
     assert found.verdict is not None
-    moved_by = re.match(r"Station S1 moves during its measurement, by ([\d.]+) \+- ", found.verdict.sentence)
+    moved_by = re.match(r"Station S1 moves during its occupation, by ([\d.]+) \+- ", found.verdict.sentence)
     assert moved_by is not None
     assert float(moved_by[1]) == pytest.approx(2000.0, rel=0.05)
 
@@ -350,7 +350,7 @@ def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
 
 def test_nothing_repeated_is_said() -> None:
     recording = visits(9)
-    with pytest.raises(NetworkError, match="measure some targets on both faces, or the first ones again"):
+    with pytest.raises(NetworkError, match="measure some targets in both faces, or the first targets again"):
         check(recording.select(recording.face == 1))
 
 
@@ -359,7 +359,7 @@ def test_the_whole_search_is_paid_for() -> None:
     chances = []
     for seed in range(20):
         visit = StationOccupation.from_recording(visits(seed), misalignment_construction())
-        _, gain, gaps = best_bump(visit)
+        _, gain, gaps = best_fitting_bump(visit)
         chances.append(visit.p_value(gain) * gaps)
     assert np.mean(np.array(chances) < 0.1) <= 0.2
 

@@ -17,7 +17,7 @@ from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import random_stream
-from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.polar import swap_front_and_raw, to_polar
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
 from tests.families import family
@@ -204,7 +204,7 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(
         twice.is_usable_reading, twice.reading_sigmas(), 1e-6
     )
-    readings = to_face(twice.readings, face) + noise
+    readings = swap_front_and_raw(twice.readings, face) + noise
     twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
     turned = np.where(twice.is_along_standing_axis[:, None] & [False, True, False], 1.0 + face[:, None], readings)
     assert twice.is_along_standing_axis.sum() == 2 and check(twice).passed

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.identification.local_shifts import (
-    MAX_TRIMMED_FITS,
-    N_REWEIGHTINGS,
+    N_REWEIGHTINGS_OF_SHIFT_FIT,
+    N_TRIMMED_FITS,
     LocalShiftProblem,
     fit_local_shifts,
 )
@@ -42,10 +42,10 @@ def single(shift: LocalShiftProblem) -> tuple[float, np.ndarray]:
         amount = np.array([np.median(residual[shift.is_outlier] / unit[shift.is_outlier, 0])])
     else:
         amount = fitted(shift.is_outlier * 1.0)
-        for _ in range(N_REWEIGHTINGS):
+        for _ in range(N_REWEIGHTINGS_OF_SHIFT_FIT):
             miss = np.abs(residual - unit @ amount)
             amount = fitted(1.0 / np.sqrt(np.maximum(miss / max(1.5 * float(np.median(miss)), 1.0), 1.0)))
-    for _ in range(MAX_TRIMMED_FITS):
+    for _ in range(N_TRIMMED_FITS):
         fits = 0.5 * (residual - unit @ amount) ** 2 < PRICE
         amount = fitted(fits * 1.0) if fits.sum() > len(amount) else amount
     cost = [np.minimum(0.5 * e**2, PRICE).sum() for e in (residual, residual - unit @ amount)]

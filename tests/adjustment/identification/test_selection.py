@@ -16,7 +16,7 @@ from ltsim.adjustment.identification import CauseSelection, FitInput, cause_test
 from ltsim.adjustment.identification.evidence import (
     LOG_OF_LOG_SIZE_PRIOR_WIDTH,
     estimate_noise_factors,
-    estimate_sigma_factors,
+    estimate_noise_factors_of_groups,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
 )
@@ -379,10 +379,10 @@ def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
 def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
     draw = random_stream(5, "noise").normal(size=(200, 300)) * 2.0
     squares = np.sum(draw**2, axis=1)
-    factor, gain = estimate_sigma_factors(squares, np.full(200, 300.0))
+    factor, gain = estimate_noise_factors_of_groups(squares, np.full(200, 300.0))
     assert np.mean(factor) == pytest.approx(2.0, rel=0.01)
     assert np.all(gain + log_occam_factor_of_variance(300.0) > 50.0)
-    quiet, nothing = estimate_sigma_factors(np.array([300.0]), np.array([300.0]))
+    quiet, nothing = estimate_noise_factors_of_groups(np.array([300.0]), np.array([300.0]))
     assert quiet == pytest.approx(1.0)
     assert nothing == pytest.approx(0.0)
 

@@ -46,7 +46,7 @@ def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) ->
     seen = detectability_of_variants(SPACE, [effect])
     assert seen is not None
     rows = SPACE.whitened_design(effect)
-    trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_sizes[0][:, None]
+    trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_detectable_sizes[0][:, None]
     fitted = seen.projected_basis[0].T @ SPACE.project(trials)
     found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.projected_basis[0].shape[1])
     assert found.mean() == pytest.approx(TEST_POWER, abs=0.02)
@@ -59,10 +59,10 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
     assert seen is not None
     problem = INFORMATION.adjustment.problem
     size = np.zeros(len(effect.parameters))
-    size[0] = seen.minimal_sizes[0][0]
-    variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
+    size[0] = seen.minimal_detectable_sizes[0][0]
+    variance = effect.variance(INFORMATION.adjustment.sightings, problem.reading_sigmas, size)
     factor = np.ones(SPACE.n_equations)
-    factor[: int(problem.is_used_reading.sum())] = (variance / problem.sigma**2)[problem.is_used_reading]
+    factor[: int(problem.is_used_reading.sum())] = (variance / problem.reading_sigmas**2)[problem.is_used_reading]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):

@@ -19,7 +19,7 @@ from ltsim.adjustment.remedies.candidates import (
 )
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.next_measurement import (
-    RivalExplanations,
+    RivalCauses,
     best_explanation,
     rank_deciding_measurements,
     rank_next_measurements,
@@ -117,7 +117,7 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     more, as the rival is free to fit noise)."""
     space = residual_space_of(adjust(drifting[0], misalignment_construction()))
     first, second = best_explanation(space, "index-drift"), best_explanation(space, "station-settling")
-    expected = RivalExplanations.from_explanations(space, first, second).present_chi2_difference
+    expected = RivalCauses.from_explanations(space, first, second).present_chi2_difference
     design_columns = space.project(space.whitened_design(first.effect) @ first.parameter_values)[:, None]
     noise = space.project(np.random.default_rng(1).normal(size=(space.n_equations, 400)))
 
@@ -201,14 +201,14 @@ def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_riv
     adjustment = adjust(recording, misalignment_construction())
     space = residual_space_of(adjustment)
     explanations = [best_explanation(space, name) for name in ("index-drift", "station-settling")]
-    rivals = RivalExplanations.from_explanations(
+    rivals = RivalCauses.from_explanations(
         residual_space_of(PlannedNetwork.from_adjustment(adjustment).make_adjustment()), *explanations
     )
     for candidate in list(pointing_candidates(PlannedNetwork.from_adjustment(adjustment)))[:3]:
         longer = residual_space_of(candidate.network.make_adjustment())
         told, whole = (
             rivals.expected_chi2_difference(longer),
-            RivalExplanations.from_explanations(longer, *explanations).present_chi2_difference,
+            RivalCauses.from_explanations(longer, *explanations).present_chi2_difference,
         )
         assert told >= rivals.present_chi2_difference - 1e-6
         assert told == pytest.approx(whole, rel=0.02, abs=0.1)

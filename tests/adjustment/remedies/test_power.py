@@ -57,7 +57,7 @@ class Search:
         if not np.isfinite(row.median_size):
             return None
         acting = [effect for effect in subsample_evenly(places) if self.space.whitened_design(effect).any()]
-        for effect, sizes in zip(acting, seen.minimal_sizes, strict=True):
+        for effect, sizes in zip(acting, seen.minimal_detectable_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
                 column = self.space.whitened_design(effect)[:, names.index(row.parameter)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.geometry.polar import to_face, to_polar, wrap_angle
+from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
 from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.azimuth_drift import AzimuthDrift
 from ltsim.physics.effects.backlash import Backlash
@@ -298,7 +298,7 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     assert share == pytest.approx(0.632, abs=0.02)
     turned = matrix_from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
     arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]
-    seen = to_face(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
+    seen = swap_front_and_raw(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
     np.testing.assert_allclose(change[row], seen - SCENE.ideal_raw_readings[row], atol=1e-13)
 
 
@@ -324,7 +324,7 @@ def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
     """An instrument that leans about its x axis by b sees everything turned by -b about it."""
     change = StationLevelling().reading_change(SCENE, np.array([20e-6, 0.0]))
     turned = SCENE.local_points @ matrix_from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
-    gap = to_face(to_polar(turned), SCENE.face) - SCENE.ideal_raw_readings
+    gap = swap_front_and_raw(to_polar(turned), SCENE.face) - SCENE.ideal_raw_readings
     gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change, gap, atol=1e-13)
 
