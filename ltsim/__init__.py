@@ -7,7 +7,7 @@ loaded from its package when it is first used. `lt.effects` is the package of th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ltsim.core.plotting import register_plotting
+from ltsim.core.plotting import register_plotting_loader
 
 if TYPE_CHECKING:
     from ltsim.acceptance.verbs import accept as accept
@@ -72,7 +72,7 @@ _PUBLIC_MODULES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.err
 __all__ = sorted([*_MODULE_BY_PUBLIC_NAME, "effects", "errors"])
 
 
-register_plotting(lambda module: import_module(f"ltsim.reports.{module}"))
+register_plotting_loader(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
 def _import_public_name(name: str) -> Any:

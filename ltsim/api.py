@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_supported_recording
@@ -156,7 +156,7 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
             from ltsim.reports.schemas import COMPANION_TABLES  # which takes half a second
 
             named = {table.file for table in COMPANION_TABLES.get(result_file.FILE, ())}
-            tables = [result_file.table(name) for name in result_file._tables()]
+            tables = [result_file.table(name) for name in result_file._table_makers()]
             write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:
             raise ModelError(
@@ -199,7 +199,7 @@ def convert(
     >>> lt.convert(recording, "workshop.txt", to="polar-text")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
-    check_bounds(every=every, required_argument="every")
+    check_argument_bounds(every=every, required_argument="every")
     recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
     recording = recording if every == 1 else recording.thin(every)
     write_recording(recording, destination, to)

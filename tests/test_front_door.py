@@ -107,10 +107,10 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
 
 def test_an_empty_table_is_shown_as_nothing():
     class Empty(Result):
-        def _lines(self) -> list[str]:
+        def _summary_lines(self) -> list[str]:
             return ["nothing"]
 
-        def _tables(self) -> Any:
+        def _table_makers(self) -> Any:
             return {"none": dict[str, list[int]]}
 
     assert Empty()._repr_html_() == "<p>nothing</p>"

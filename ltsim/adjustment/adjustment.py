@@ -86,7 +86,7 @@ class Adjustment(Result):
     datum: InnerDatum | None = None
     """Inner datum of the covariances; None if the datum is the frame of the adjustment (pose of the first station)."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [
             f"Adjustment: {self.recording.headline}",
             f"{self.construction.name}, {self.construction.n_parameters} instrument parameters, "

@@ -27,9 +27,9 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
+from ltsim.campaigns.kinematic_chain import KinematicChainArrays
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.true_network import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -97,7 +97,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         ]
 
     @cached_property
-    def step_matrix(self) -> Floats:
+    def gauss_newton_step_matrix(self) -> Floats:
         """Matrix (unknowns, unknowns) that maps half the gradient of the objective to a step [prior sigma].
 
         A step contains only the estimated combinations of parameters.
@@ -117,8 +117,8 @@ class BatchDistanceCalibrator(BatchCalibrator):
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
-    def _chain_program(self) -> ChainProgram:
-        return self.true_network.chain_program(self.construction)
+    def _kinematic_chain(self) -> KinematicChainArrays:
+        return self.true_network.kinematic_chain(self.construction)
 
     @cached_property
     def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
@@ -138,9 +138,9 @@ class BatchDistanceCalibrator(BatchCalibrator):
         The targets are adjusted from readings that are corrected by the estimated parameters.
         """
         values, moved = (
-            self._least_squares_values(trial_batch)
+            self._least_squares_estimates(trial_batch)
             if self.method == "distance"
-            else self._values_with_trial_normal_matrices(trial_batch, trial_indices)
+            else self._estimates_with_trial_normal_matrices(trial_batch, trial_indices)
         )
         fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
@@ -152,7 +152,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
             moved < MAX_LAST_STEP_AT_CONVERGENCE
         ) & fit.has_converged
 
-    def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
+    def _least_squares_estimates(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
         """Estimated parameters of all trials, and their largest change in the last step.
 
         The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
@@ -164,23 +164,25 @@ class BatchDistanceCalibrator(BatchCalibrator):
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_FIT_STEPS):
-            compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
+            compute_points(self._kinematic_chain, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_weighted_points(points, sets, recording.target, share, clouds)
             mean_gradients, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
             distance_gradient(clouds, visible, gauge, reference_lengths, mean_gradients, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             backpropagate_mean_gradients(
-                self._chain_program, *membership, deviation, parameter_values, mean_gradients, gradient
+                self._kinematic_chain, *membership, deviation, parameter_values, mean_gradients, gradient
             )
-            step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
+            step = self.gauss_newton_step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
             if not np.any(moved >= MAX_LAST_STEP_AT_CONVERGENCE):
                 break
         return parameter_values, moved
 
-    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[Floats, Floats]:
+    def _estimates_with_trial_normal_matrices(
+        self, trial_batch: TrialBatch, trial_indices: Ints
+    ) -> tuple[Floats, Floats]:
         """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
 
         The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
@@ -195,7 +197,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         combinations_by_trial = {
             trial: self._estimated_combinations
             if self.estimates_all_combinations
-            else self._trial_combinations(trial_readings)
+            else self._estimated_combinations_of_trial(trial_readings)
             for trial, trial_readings in readings.items()
         }
         for iteration in range(
@@ -222,7 +224,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
                 moved[trial] = np.abs(combinations_by_trial[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
-    def _trial_combinations(self, readings: Floats) -> Floats:
+    def _estimated_combinations_of_trial(self, readings: Floats) -> Floats:
         """Combinations of the unknowns that are estimated in a trial, shape (unknowns, combinations).
 
         They are the principal axes of the objective for the trial's `readings` (pointings, 3) that are nearest to the
@@ -247,7 +249,9 @@ class BatchDistanceCalibrator(BatchCalibrator):
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
+        compute_points(
+            self._kinematic_chain, self.true_network.recording.instrument, deviation, parameter_values, points
+        )
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
@@ -258,7 +262,9 @@ class BatchDistanceCalibrator(BatchCalibrator):
         """Network adjustment of the trials, after correction of their readings by `parameter_values` [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
+        compute_points(
+            self._kinematic_chain, self.true_network.recording.instrument, deviation, parameter_values, points
+        )
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
         is_back_face = (self.true_network.recording.face == 2)[:, None]

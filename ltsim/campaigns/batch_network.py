@@ -60,7 +60,7 @@ class BatchNetwork(NominalNetwork):
         ):
             return None
         return self.model.change_by_extra_parameters(
-            self._sightings_in_floor_plan_frame, self.nominal_state.extra_parameters
+            self._sightings_in_floor_plan_frame, self.state_with_nominal_parameters.extra_parameters
         )[:, :, None]
 
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
@@ -75,7 +75,7 @@ class BatchNetwork(NominalNetwork):
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_FIT_STEPS + 1):
-            self._gradient(x, reading_deviations, length_errors, predicted, gradient, cost)
+            self._write_gradient_and_cost(x, reading_deviations, length_errors, predicted, gradient, cost)
             step = self.gauss_newton_step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
@@ -146,7 +146,7 @@ class BatchNetwork(NominalNetwork):
         predicted[use] = sigma * (design @ without_effects)[: len(sigma)]
         return x, predicted
 
-    def _gradient(
+    def _write_gradient_and_cost(
         self,
         increments: Floats,
         reading_deviations: Floats,
@@ -164,7 +164,7 @@ class BatchNetwork(NominalNetwork):
             reading_deviations.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
         by_pose, by_points, by_values, by_extra = self.split_unknowns(gradient)
         residual = np.empty(reading_deviations.shape)
-        arrays = (self.chain_program, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
+        arrays = (self.kinematic_chain, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])

@@ -11,7 +11,7 @@ from ltsim.adjustment.evaluation.clouds import CalibrationErrors, cloud_error, m
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.results import Result, Table, number_columns, text_columns
@@ -45,20 +45,22 @@ HELD_OUT_POINT_ERRORS_TABLE = Table(
 class HeldOutPointErrors(Result):
     """Errors at new points after each of several calibrations of one recording."""
 
-    errors: Mapping[str, CalibrationErrors]
+    errors_by_calibration: Mapping[str, CalibrationErrors]
     """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""
 
-    def _lines(self) -> list[str]:
-        first_errors = next(iter(self.errors.values()))
+    def _summary_lines(self) -> list[str]:
+        first_errors = next(iter(self.errors_by_calibration.values()))
         raw, floor = first_errors.raw_rms / MICROMETRE, first_errors.true_parameters_rms / MICROMETRE
-        errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        errors = ", ".join(
+            f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors_by_calibration.items()
+        )
         return [f"Error of a new point: uncorrected {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
-        for name, error in self.errors.items():
+        for name, error in self.errors_by_calibration.items():
             sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
             yield [name, *(size / MICROMETRE for size in sizes), error.removed_error_fraction]
 
@@ -116,7 +118,7 @@ def compare_calibrations(
     >>> judged.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
-    check_bounds(seed=seed, trial=trial, required_argument="seed trial")
+    check_argument_bounds(seed=seed, trial=trial, required_argument="seed trial")
     base_scenario = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
     made, truth = measure_trial(make_measurement_geometry(base_scenario, seed), seed, trial)

@@ -19,8 +19,8 @@ from scipy.linalg.lapack import dpotrs
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.batch_network import BatchNetwork
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
+from ltsim.campaigns.kinematic_chain import KinematicChainArrays
 from ltsim.campaigns.nominal_network import SharedDerivatives
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import (
@@ -40,7 +40,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import StandardNormalSource
 
 
-def estimated_construction(method: CalibrationMethod) -> GeometricErrorModel:
+def estimated_error_model(method: CalibrationMethod) -> GeometricErrorModel:
     """Geometric error model whose parameters a calibration method estimates."""
     return construction_with_dh_orders(method.construction, method.harmonics, method.degree)
 
@@ -54,7 +54,7 @@ def make_calibrator(method: CalibrationMethod, true_network: TrueNetwork) -> Tri
     """Calibrator for a method of a campaign file, for trials in the network geometry `true_network`."""
     if method.method != "network" and not true_network.is_recorded_observable.all():
         raise InputError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
-    built, effects = estimated_construction(method), estimated_effects(method)
+    built, effects = estimated_error_model(method), estimated_effects(method)
     if method.solver == "single":
         return SerialCalibrator(
             true_network, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
@@ -126,7 +126,7 @@ class GeometryStack(TrueNetwork):
 
     def _compute_kinematic_chain_and_reading_derivatives(
         self, construction: GeometricErrorModel
-    ) -> tuple[ChainProgram, Floats]:
+    ) -> tuple[KinematicChainArrays, Floats]:
         """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.
 
         The derivative has the shape (pointings, 3, parameters, trials).
@@ -134,11 +134,11 @@ class GeometryStack(TrueNetwork):
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.recording_row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.from_construction(construction, flattened).with_trial_axis(
+        return KinematicChainArrays.from_construction(construction, flattened).with_trial_axis(
             len(self.true_networks)
         ), np.ascontiguousarray(by_trial)
 
-    def _exact_deviations(self, true_parameters: Floats) -> Floats:
+    def _exact_reading_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (pointings, 3, trials) for true instrument parameters [SI]."""
         which, (program, by_value) = (
             self.recording.instrument,
@@ -156,7 +156,7 @@ class GeometryStack(TrueNetwork):
             for true_network, numbers_of_trial in zip(self.true_networks, sources, strict=True)
         ]
         instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
-        exact = self._exact_deviations(instrument_values)
+        exact = self._exact_reading_deviations(instrument_values)
         single_trial_batches = tuple(
             true_network.batch_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (true_network, draw) in enumerate(zip(self.true_networks, draws, strict=True))
@@ -184,7 +184,7 @@ def stack_geometries(true_networks: dict[int, TrueNetwork]) -> Iterator[tuple[Ge
         names = true_network.recording.stations, true_network.recording.targets
         is_complete = true_network.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(true_network)).tobytes() if is_complete else number
-        key = (*names, pattern, evaluator.has_criteria, evaluator.is_frame_determined.tobytes())
+        key = (*names, pattern, evaluator.can_compute_criteria, evaluator.is_frame_determined.tobytes())
         trials_by_pattern.setdefault(key, []).append(number)
     for numbers in trials_by_pattern.values():
         yield GeometryStack.from_true_networks(tuple(true_networks[number] for number in numbers)), np.array(numbers)
@@ -298,7 +298,7 @@ class StackCalibrator(TrialCalibrator):
 class StackedNetwork(BatchNetwork):
     """Networks of several trials with the same pointings but different coordinates, adjusted together.
 
-    The last index of the arrays in `state` and `chain_program` is the trial; `recording` belongs to the first trial.
+    The last index of the arrays in `state` and `kinematic_chain` is the trial; `recording` belongs to the first trial.
     """
 
     networks: tuple[BatchNetwork, ...] = ()
@@ -363,7 +363,7 @@ class StackedNetwork(BatchNetwork):
         )
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         arguments = reading_deviations, length_errors, predicted, gradient, cost
-        self._gradient(x, *arguments)
+        self._write_gradient_and_cost(x, *arguments)
         x += self.gauss_newton_step(gradient)
-        self._gradient(x, *arguments)  # for a second Newton step of the predicted readings
+        self._write_gradient_and_cost(x, *arguments)  # for a second Newton step of the predicted readings
         return x, predicted

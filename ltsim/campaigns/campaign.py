@@ -20,26 +20,26 @@ from typing import Any
 import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
-from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
+from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
-from ltsim.campaigns.shard_rows import ShardTask, cell_context, n_rows_of_shard, run_task
+from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
     CampaignFile,
     cad_files,
     load_campaign,
-    make_cells,
+    make_campaign_cells,
     path_relative_to_campaign_file,
-    read_cad,
+    read_cad_bytes,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.campaigns.true_network import make_campaign_geometry
-from ltsim.core.arguments import check_bounds, check_choice
-from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
+from ltsim.core.arguments import check_argument_bounds, check_argument_choice
+from ltsim.core.errors import InputError, WorkerError, option_text, reraise_as_input_error
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import safe_excerpt
@@ -48,7 +48,7 @@ from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose versions can change the last digits of the rows; a campaign continues only with the same versions."""
-EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
+EXTENDABLE_CAMPAIGN_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
 """Keys of the campaign file that may be extended (more trials, levels, statistics) without changing existing rows."""
 ProgressCallback = Callable[[int], None]
 """Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
@@ -68,8 +68,8 @@ class WorkerSettings:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.n_processes, required_argument="jobs")
-        check_choice("backend", self.backend, ("local", "dask"))
+        check_argument_bounds(jobs=self.n_processes, required_argument="jobs")
+        check_argument_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise InputError(
                 f"{option_text('scheduler')} is {self.scheduler}, which needs {option_text('backend=dask')}"
@@ -111,10 +111,10 @@ def run_campaign(
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
     `progress` is called with the number of rows (trials times methods) that were finished since the last call.
     """
-    with as_input_error():
+    with reraise_as_input_error():
         check_writable(folder, is_folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
-    factors, cells = make_cells(campaign, scenarios, file)
+    factors, cells = make_campaign_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
     sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
@@ -149,7 +149,7 @@ def run_campaign(
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
-            cell_context.cache_clear()
+            load_cell_context.cache_clear()
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
@@ -173,7 +173,7 @@ def _input_files(
         resolved_path = path.resolve()
         is_in_folder = resolved_path.is_relative_to(root)
         name = resolved_path.relative_to(root).as_posix() if is_in_folder else path.name
-        contents[name] = read_cad(path)
+        contents[name] = read_cad_bytes(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
@@ -184,11 +184,11 @@ def _configuration_notes(
     """Notes on declared effects that change no reading; InputError for an error that would stop every trial."""
     unused_settings = []
     for method in campaign.methods:
-        estimated_construction(method)
+        estimated_error_model(method)
         estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
-        with as_input_error(f"{file}: {where}"):
+        with reraise_as_input_error(f"{file}: {where}"):
             geometry = make_campaign_geometry(cell.scenario, campaign.seed)
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
@@ -219,7 +219,7 @@ def _extended_campaign(
         same = next((cell for cell in remaining if cell.digest == old.digest), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
-            changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
+            changed = [key for key in now if key not in EXTENDABLE_CAMPAIGN_KEYS and before.get(key) != now[key]] or [
                 "the scenario"
             ]
             raise InputError(
@@ -326,7 +326,7 @@ def _pending_tasks_and_notes(
 
     A damaged shard is renamed and computed again. `progress` is called with the number of rows of each complete shard.
     """
-    waiting, notes, digests = [], [], store.recorded_digests()
+    waiting, notes, digests = [], [], store.recorded_shard_digests()
     for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
@@ -370,11 +370,11 @@ def _computed_shards(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
+        yield from run_parallel(run_shard_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_task)(task) for task in pending_tasks)
+        yield from pool(delayed(run_shard_task)(task) for task in pending_tasks)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import PARAMETER_UNIT_PLACEHOLDER, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import PARAMETER_UNIT_PLACEHOLDER, TRIAL_STATUSES, WITHOUT_RESULT, find_result_column
 from ltsim.core.arrays import Floats
 from ltsim.core.results import ColumnValues
 from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
@@ -16,7 +16,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 
 ResultColumns = dict[str, NDArray[Any]]
 """Values of result columns by column name, each array (trials,); the name of a length column contains its unit."""
-ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
+ARROW_TYPE_BY_VALUE_TYPE = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 """Arrow data type of a column, by the type of its values (`number`, `integer`, `boolean`)."""
 
 
@@ -79,7 +79,7 @@ def z_score_columns(
 
 
 def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    column = find_column(name)
+    column = find_result_column(name)
     if column is None:
         return {"unit": "", "meaning": ""}
     unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_PLACEHOLDER else column.unit
@@ -96,7 +96,9 @@ def append_factor_levels(
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
-        f.name: pa.repeat(pa.scalar(level_by_factor[f.name], ARROW_TYPES.get(f.kind, pa.string())), len(table))
+        f.name: pa.repeat(
+            pa.scalar(level_by_factor[f.name], ARROW_TYPE_BY_VALUE_TYPE.get(f.kind, pa.string())), len(table)
+        )
         for f in factors
     }
     metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}

@@ -20,7 +20,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ltsim.core.errors import CalibratorError, InputError, RecordError, option_text
-from ltsim.core.parallel import PYTHON_SAFE_PATH_VARIABLE
+from ltsim.core.parallel import PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import safe_excerpt
@@ -93,7 +93,7 @@ def run_external_calibrator(
         ]
         try:
             environment = {
-                name: value for name, value in os.environ.items() if name != PYTHON_SAFE_PATH_VARIABLE
+                name: value for name, value in os.environ.items() if name != PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE
             }  # without the variable that only concerns processes of ltsim
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment

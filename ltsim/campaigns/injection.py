@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import random_stream
@@ -83,7 +83,7 @@ def inject(
     >>> round(truth.injected_effects[0].noncentrality)
     100
     """
-    check_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
+    check_argument_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
     if not causes:
         raise ModelError(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
@@ -102,7 +102,7 @@ def inject(
     for number, cause in enumerate(causes):
         rng = random_stream(seed, "inject", number)
         drawn, values = _scaled_effect(injector, cause, noncentrality, rng)
-        changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
+        changed_recording, entry = injector.inject(drawn, values, _name_of_effect(cause), rng)
         injector = injector.with_recording(changed_recording)
         injected.append(entry)
     return RecordingWithInjection(changed_recording, InjectionTruth(seed, tuple(injected)))
@@ -141,7 +141,7 @@ def injection_curve(
     ModelError
         If the effect does not exist or changes no residual, or without a positive strength and an injection.
     """
-    check_bounds(injections=injections, seed=seed, required_argument="injections seed")
+    check_argument_bounds(injections=injections, seed=seed, required_argument="injections seed")
     if not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a detection curve needs at least one noncentrality (strengths), each of them above 0")
     original = load_recording(recording)
@@ -154,10 +154,10 @@ def injection_curve(
         ]
         curve_rows.append(_detection_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(curve_rows))
+    return DetectionCurve(_name_of_effect(cause), effect_names, tuple(curve_rows))
 
 
-def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
+def _name_of_effect(cause: str | CandidateEffect | SizedEffect) -> str:
     """Name of an effect from its catalogue object; a text is returned unchanged."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 

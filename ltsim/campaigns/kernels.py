@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.compilation import compile_function, compile_inlined, value_of_trial
+from ltsim.campaigns.kinematic_chain import KinematicChainArrays
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
@@ -41,7 +41,7 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 
 @compile_function
 def _motion_amounts(
-    pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
+    pointing: int, chain: KinematicChainArrays, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
     """Deviations of the motions' amounts from nominal [m, rad], written to `amounts` (motions, trials)."""
     _, _, sign, reading_indices, _, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
@@ -78,7 +78,7 @@ def _motion_amounts(
 
 
 @compile_function
-def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
+def _forward_chain(pointing: int, chain: KinematicChainArrays, amounts: Floats, path: Floats) -> None:
     """Measured point [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
@@ -110,7 +110,7 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
 @compile_function
 def _backpropagate(
     pointing: int,
-    chain: ChainProgram,
+    chain: KinematicChainArrays,
     deviation: Floats,
     amounts: Floats,
     path: Floats,
@@ -161,7 +161,9 @@ def _backpropagate(
 
 
 @compile_function
-def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
+def compute_points(
+    chain: KinematicChainArrays, instrument: Ints, deviation: Floats, values: Floats, points: Floats
+) -> None:
     """Measured points (pointings, 3, trials) [m] in instrument frames for parameters `values` [SI], put in `points`."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -176,7 +178,7 @@ def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, val
 
 @compile_function
 def compute_readings(
-    chain: ChainProgram,
+    chain: KinematicChainArrays,
     instrument: Ints,
     local_points: Floats,
     point_derivatives: Floats,
@@ -216,7 +218,7 @@ def compute_readings(
 
 @compile_function
 def backpropagate_mean_gradients(
-    chain: ChainProgram,
+    chain: KinematicChainArrays,
     instrument: Ints,
     station_face_indices: Ints,
     target: Ints,
@@ -246,7 +248,7 @@ def backpropagate_mean_gradients(
 
 @compile_function
 def network_gradient(
-    chain: ChainProgram,
+    chain: KinematicChainArrays,
     instrument: Ints,
     station: Ints,
     target: Ints,
@@ -394,7 +396,7 @@ def _add_network_gradients(
         hz[t] += vx * ay[t] - vy * ax[t]
 
 
-def is_compiled() -> bool:
+def has_cached_machine_code() -> bool:
     """True if the machine code of the functions of this module is in the cache of this installation."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

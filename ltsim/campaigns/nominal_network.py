@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.campaigns.chain_program import ChainProgram
+from ltsim.campaigns.kinematic_chain import KinematicChainArrays
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import pose_design
@@ -73,7 +73,7 @@ class NominalNetwork:
     """Nominal state of the network: true poses of the stations and true targets."""
     construction: GeometricErrorModel
     """Geometric error model of the instruments; its parameters are estimated."""
-    chain_program: ChainProgram
+    kinematic_chain: KinematicChainArrays
     """Kinematic chain of the geometric error model, linearised at the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated; the nuisance errors that the recording declares are estimated too."""
@@ -100,7 +100,7 @@ class NominalNetwork:
         return self.shared_derivatives.network.problem.with_positions_of_model(self.model)
 
     @cached_property
-    def nominal_state(self) -> NetworkState:
+    def state_with_nominal_parameters(self) -> NetworkState:
         """Nominal state of the network, with all instrument and effect parameters zero."""
         n_instruments = len(self.recording.instruments)
         return NetworkState(
@@ -180,12 +180,12 @@ class NominalNetwork:
         The design is a sparse matrix if it has more than `MAX_DENSE_NETWORK_ENTRIES` entries.
         """
         prediction = (
-            self.problem.model.linearise(self.nominal_state)
+            self.problem.model.linearise(self.state_with_nominal_parameters)
             if self.shared_derivatives is None
             else self._nominal_prediction(self.shared_derivatives)
         )
         system = self.problem.linear_system(
-            self.nominal_state, replace(prediction, extra_derivatives=self._additional_parameter_design)
+            self.state_with_nominal_parameters, replace(prediction, extra_derivatives=self._additional_parameter_design)
         )
         is_small = system.design.shape[0] * system.design.shape[1] <= MAX_DENSE_NETWORK_ENTRIES
         return to_dense(system.design) if is_small else system.design, system.whitened_residuals
@@ -236,7 +236,7 @@ class NominalNetwork:
     @cached_property
     def _sightings_in_floor_plan_frame(self) -> Sightings:
         """Pointings in the frame of the floor plan, in which the directions of nests are declared."""
-        state = self.nominal_state
+        state = self.state_with_nominal_parameters
         motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
         if motion is not None:
             turn, shift = motion
@@ -269,7 +269,7 @@ class NominalNetwork:
         The last index of each view is the trial; the first is station, target, instrument or effect parameter.
         """
         pose, targets, values, _ = self.block_end_indices
-        shape = self.nominal_state.instrument_parameters.shape
+        shape = self.state_with_nominal_parameters.instrument_parameters.shape
         return (
             unknowns[:pose].reshape(-1, 6, unknowns.shape[1]),
             unknowns[pose:targets].reshape(-1, 3, unknowns.shape[1]),

@@ -38,15 +38,15 @@ from ltsim.campaigns.recovery_trials import (
     RecoverySettings,
     RecoveryTolerance,
     RecoveryTrials,
-    run_trials,
+    run_recovery_trials,
 )
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
-from ltsim.core.arguments import check_bounds, check_choice, check_mapping
+from ltsim.core.arguments import check_argument_bounds, check_argument_choice, check_mapping_argument
 from ltsim.core.errors import InputError, ModelError, option_text
 from ltsim.core.notation import names_text
 from ltsim.core.results import Table
-from ltsim.core.units import parse_in_unit
+from ltsim.core.units import parse_quantity_in_unit
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import make_construction as construction_called
@@ -122,7 +122,7 @@ class Recovery(ResultFile):
             raise ModelError("a recovery read from a file has no trials; trials.csv in its folder has them")
         return self._arrays
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [
             f"Recovery, errors {self.error_origin}: {self.trials} trials, {self.trials_with_result} converged: "
             f"{self.verdict_text()}",
@@ -130,7 +130,7 @@ class Recovery(ResultFile):
             *self.failure_sentences(),
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "checks": lambda: RECOVERY_CHECKS_TABLE.with_rows(self.checks),
             "parameters": lambda: RECOVERED_PARAMETERS_TABLE.with_rows(self.parameters),
@@ -261,10 +261,10 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failure_sentences()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
-    check_mapping("tolerance", tolerance)
-    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
-    check_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
+    check_argument_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
+    check_mapping_argument("tolerance", tolerance)
+    check_argument_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
+    check_argument_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
         raise InputError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
@@ -282,11 +282,11 @@ def recover(
     settings = RecoverySettings(method, model, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
-    with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
+    with closing(run_recovery_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for given_outcome in outcomes:
             outcome = _failed_if_parameters_differ_from_first_trial(given_outcome, done)
             if isinstance(outcome, FailedTrial):
-                failed, problem = failed + outcome.is_external, outcome.reason
+                failed, problem = failed + outcome.is_from_external_calibrator, outcome.reason
                 done.append(None)
             else:
                 within = within or _parse_tolerances(given, outcome)
@@ -312,7 +312,7 @@ def _failed_if_parameters_differ_from_first_trial(
         return outcome
     differing = sorted({*outcome.parameter_names} ^ {*first_trial.parameter_names})[0]
     reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} only in some of the trials"
-    return FailedTrial(reason, is_external=True)
+    return FailedTrial(reason, is_from_external_calibrator=True)
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
@@ -325,7 +325,7 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
         if name not in trial.parameter_names:
             raise InputError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
         unit = trial.parameter_units[trial.parameter_names.index(name)]
-        value = parse_in_unit(words, unit)
+        value = parse_quantity_in_unit(words, unit)
         if value is None or not value > 0:
             raise InputError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
         given_values[name] = RecoveryTolerance(value, words)

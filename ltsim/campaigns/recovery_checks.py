@@ -30,7 +30,7 @@ STANDARD_DEVIATION_Z_MARGIN = 0.05
 """Permitted deviation of the standard deviation of z-scores from 1, in addition to its sampling error."""
 COVERAGE_MARGIN = 0.015
 """Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
-CHI2_MARGIN = 0.02
+TOTAL_CHI2_MARGIN = 0.02
 """Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
 MEAN_SQUARE_Z_MARGIN = 0.05
 """Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
@@ -213,7 +213,7 @@ def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], freedom) / freedom
-    low, high = min(1 - CHI2_MARGIN, float(tails[0])), max(1 + CHI2_MARGIN, float(tails[1]))
+    low, high = min(1 - TOTAL_CHI2_MARGIN, float(tails[0])), max(1 + TOTAL_CHI2_MARGIN, float(tails[1]))
     return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 

@@ -106,7 +106,7 @@ class FailedTrial(NamedTuple):
 
     reason: str
     """Reason of the failure, as a sentence."""
-    is_external: bool
+    is_from_external_calibrator: bool
     """True for a failure of an external calibrator."""
 
 
@@ -122,19 +122,19 @@ class RecoverySettings:
     """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
 
 
-def run_trials(
+def run_recovery_trials(
     scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[TrialScore | FailedTrial, None, None]:
     """Outcomes of the trials in order; they are identical for any number of processes.
 
     InputError is raised for a parameter of the calibrator that is not drawn.
     """
-    drawn_scenario = with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
+    drawn_scenario = scenario_with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
-    yield from run_parallel(run_trial, tasks, min(jobs, trials), calls_per_batch=4)
+    yield from run_parallel(run_recovery_trial, tasks, min(jobs, trials), calls_per_batch=4)
 
 
-def with_errors_from_prior(scenario: Scenario) -> Scenario:
+def scenario_with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator uses."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
     tracker_by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
@@ -143,7 +143,9 @@ def with_errors_from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
+def run_recovery_trial(
+    scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings
+) -> TrialScore | FailedTrial:
     """Outcome of one trial: simulation, calibration, and comparison with the true parameters."""
     recording, truth = simulate(scenario, seed, trial_number, "per-trial")
     construction = make_scenario_construction(scenario)
@@ -160,14 +162,14 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
             raise
         reason = f"trial {trial_number}: {problem}"
     if settings.calibrator is None:
-        return FailedTrial(reason, is_external=False) if reference is None else reference
+        return FailedTrial(reason, is_from_external_calibrator=False) if reference is None else reference
     try:
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {trial_number}")
         return score_estimates(estimates, truth, settings.error_origin, reference)
     except CalibratorError as problem:
         sentence = str(problem)
         reason = sentence if f"for trial {trial_number}" in sentence else f"trial {trial_number}: {sentence}"
-        return FailedTrial(reason, is_external=True)
+        return FailedTrial(reason, is_from_external_calibrator=True)
 
 
 def calibrate_by_settings(
@@ -302,7 +304,7 @@ class RecoveryTrials(ValueEquality):
             self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
-        foreign, checks = self.available_trial_scores[0].is_external, list[RecoveryCheck]()
+        foreign, checks = self.available_trial_scores[0].is_from_external_calibrator, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
         if self.error_origin == "stated" and np.all(np.isfinite(z)):

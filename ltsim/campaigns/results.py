@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.campaigns.columns import columns_from_rows
-from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, statistic_sql_expressions
+from ltsim.campaigns.schema import (
+    RATIO_STATISTICS,
+    SOLVER_DIFFERENCE_COLUMN,
+    find_result_column,
+    statistic_sql_expressions,
+)
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
@@ -19,18 +24,18 @@ from ltsim.core.errors import ModelError, missing_extra_error, unknown_name_erro
 from ltsim.core.plotting import plotting_module
 from ltsim.core.randomness import random_stream
 from ltsim.core.results import ColumnValues, Result
-from ltsim.core.units import parse_in_unit, unit_of_key
+from ltsim.core.units import parse_quantity_in_unit, unit_of_key
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-METHOD_AXIS = "calibrator"
+XARRAY_METHOD_AXIS = "calibrator"
 """Name of the axis of methods in an xarray dataset. The name `method` is not possible: it is an argument of
 `Dataset.sel`."""
 N_BOOTSTRAP_RESAMPLES = 400
 """Number of resamples of a bootstrap interval; the sampling error of its limits is about a tenth of its width."""
-RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
+RESERVED_XARRAY_AXIS_NAMES = frozenset({XARRAY_METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of an xarray dataset cannot have; a factor with one of these names gets an underscore."""
 
 
@@ -160,13 +165,13 @@ class CampaignResults(CampaignStatistics, Result):
             for s in self.statistic_summaries(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
                     bound[(methods.index(s.method), *places[s.cell])] = value
-            meaning, unit = (column.meaning if (column := find_column(name)) else ""), self.units.get(name, "")
+            meaning, unit = (column.meaning if (column := find_result_column(name)) else ""), self.units.get(name, "")
             for limit, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
                 meaning_of_bound = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
                 about = {"units": unit, "long_name": f"{meaning_of_bound}: {meaning}"}
-                variables[name + ending] = ((METHOD_AXIS, *axes), limit, about)
+                variables[name + ending] = ((XARRAY_METHOD_AXIS, *axes), limit, about)
         title = {"title": self.manifest.title, "trials": self.manifest.trials}
-        return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
+        return Dataset(variables, {XARRAY_METHOD_AXIS: methods} | axes | along, title)
 
     def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
         """Values of each axis, position of each cell on the axes, and coordinates along an axis, for an xarray dataset.
@@ -175,7 +180,7 @@ class CampaignResults(CampaignStatistics, Result):
         """
         levels, named = (
             self.levels,
-            [(f"{f.name}_" if f.name in RESERVED_AXIS_NAMES else f.name, f) for f in self.factors],
+            [(f"{f.name}_" if f.name in RESERVED_XARRAY_AXIS_NAMES else f.name, f) for f in self.factors],
         )
         axes = {name: [level[f.name] for level in levels] for name, f in named}
         steps = {name: _sorted_levels(dict.fromkeys(values)) for name, values in axes.items()}
@@ -249,10 +254,10 @@ class PairedDifferences(Result):
     entries: tuple[PairedDifference, ...]
     """Paired difference for each combination of levels of the factors that are not compared."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
 
-    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], ColumnValues]]:
         rows = [vars(entry) for entry in self.entries]
         flat_rows = [row["shared_levels"] | {k: v for k, v in row.items() if k != "shared_levels"} for row in rows]
         return {"differences": lambda: columns_from_rows(flat_rows)}
@@ -314,7 +319,7 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
     if requested_level in distinct:
         return requested_level
     value = (
-        parse_in_unit(requested_level, unit_of_key(factor_name))
+        parse_quantity_in_unit(requested_level, unit_of_key(factor_name))
         if isinstance(requested_level, str)
         else requested_level
     )

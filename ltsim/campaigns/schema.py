@@ -113,7 +113,7 @@ RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name
 """Names of the statistics that are ratios over all trials, so that a single row has no such value."""
 
 
-def find_column(name: str) -> RowColumn | None:
+def find_result_column(name: str) -> RowColumn | None:
     """Definition of a column of results or of a statistic, by its name; None for the column of a factor."""
     return next(
         (c for c in RESULT_COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None
@@ -307,7 +307,7 @@ class ManifestFile(ResultFile):
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         methods = ", ".join(self.methods)
         return [f"Campaign: {title}{len(self.cells)} cells, at most {self.trials} trials each, {methods}"]

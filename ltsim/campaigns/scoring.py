@@ -60,7 +60,7 @@ class TrialScore(ValueEquality):
     also if the true values are not drawn from the prior. NaN for a parameter whose error does not come from noise, and
     for an external calibrator unless the true values are drawn from the prior."""
     network_score: NetworkScore = NetworkScore()
-    is_external: bool = False
+    is_from_external_calibrator: bool = False
     """True for an external calibrator, whose prior is unknown."""
     ltsim_score: TrialScore | None = None
     """Score of ltsim's calibrator for the same parameters in the same recording; None without an external
@@ -338,7 +338,7 @@ def score_estimates(
         sigma,
         true_values,
         standard,
-        is_external=True,
+        is_from_external_calibrator=True,
         ltsim_score=ltsim_score,
         ltsim_parameter_names=() if full_ltsim_score is None else full_ltsim_score.parameter_names,
     )

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from ltsim.campaigns.calibrators import (
     StackCalibrator,
-    estimated_construction,
     estimated_effects,
+    estimated_error_model,
     make_calibrator,
     stack_geometries,
 )
@@ -27,7 +27,7 @@ from ltsim.campaigns.columns import (
     z_score_columns,
 )
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_result_column
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
 from ltsim.campaigns.store import parquet_bytes, stored_statistic_groups
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
@@ -48,7 +48,7 @@ STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
 """Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
 """Largest number of trials that are calibrated together if each trial has a separate network geometry."""
-MAX_BATCH_VALUES = 5_000_000
+MAX_BATCH_ARRAY_VALUES = 5_000_000
 """Largest number of values (8 bytes each) in the arrays of a batch of trials; more trials are divided into batches."""
 BATCH_VALUES_PER_POINTING = 30
 """Number of values by pointing and trial in memory at the same time: readings, and measured or predicted points."""
@@ -135,7 +135,7 @@ class CellContext:
         names = tuple(self.scenario.trackers_in_use)
         labels = parameter_labels(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
         for method in self.campaign.methods:
-            labels += parameter_labels(estimated_construction(method), names, estimated_effects(method))
+            labels += parameter_labels(estimated_error_model(method), names, estimated_effects(method))
         return {label.text: label.parameter.unit for label in labels}
 
     @cached_property
@@ -167,7 +167,7 @@ class CellContext:
                 )
 
     def _max_batch_trials(self, default_number: int, geometry_values_per_pointing: int) -> int:
-        """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_VALUES`.
+        """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_ARRAY_VALUES`.
 
         It does not depend on the trials that are requested, because sums may depend on the number of trials in a batch.
         """
@@ -179,7 +179,7 @@ class CellContext:
             values += (BATCH_VALUES_PER_POINTING + geometry_values_per_pointing) * len(recording)
             values += 3 * n_unknowns**2 if geometry_values_per_pointing else 0
         size = default_number
-        while size > 1 and values * size > MAX_BATCH_VALUES:
+        while size > 1 and values * size > MAX_BATCH_ARRAY_VALUES:
             size //= 2
         return size
 
@@ -202,7 +202,7 @@ class CellContext:
 
 
 @lru_cache(maxsize=1)
-def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
+def load_cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
     """Quantities that all trials of a cell share, from campaign file, scenario and validation scenario as JSON texts.
 
     The last result is cached, because a worker process computes many shards of the same cell one after the other.
@@ -213,7 +213,7 @@ def cell_context(campaign: str, scenario: str, validation_scenario: str) -> Cell
     )
 
 
-def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
+def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
     """Task, and the bytes of the shard's file that it computes.
 
     The shard is computed with one thread, so that sums have the same order in every worker process.
@@ -252,7 +252,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
     With `truth_only` the rows contain only the true values, and no trial is calibrated.
     """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
-    cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
+    cell = load_cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     first_trial = task.shard * campaign.trials_per_shard
     first, last = first_trial + n_existing_trials, min(first_trial + campaign.trials_per_shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
@@ -296,7 +296,7 @@ class TrialBatchRows:
     """Indices, in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
     """Indices, in the batch, of the trials that the full solver repeats for verification."""
-    has_truth_only: bool = False
+    contains_only_true_values: bool = False
     """True if the rows contain only the drawn true values, and no trial is calibrated."""
 
     @cached_property
@@ -330,13 +330,13 @@ class TrialBatchRows:
         population = self.evaluator.true_network.distributions
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
         step = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)(values[:, :, 0].size, "drift")
-        return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
+        return values + share * (population.instrument_error_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
         """Columns of the results of a method, as selected by the campaign's `statistics`."""
         wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
-        if self.has_truth_only:
+        if self.contains_only_true_values:
             calibrated = CalibratedBatch.from_failed_trials(network, construction, effects, len(batch.trial_numbers))
         else:
             calibrated = calibrator.calibrate(batch, self.requested_trial_indices)
@@ -354,13 +354,13 @@ class TrialBatchRows:
             columns |= {
                 n: column_values
                 for n, column_values in judged.items()
-                if (column := find_column(n)) and column.group in wanted
+                if (column := find_result_column(n)) and column.group in wanted
             }
         labels = parameter_labels(construction, network.recording.instruments, effects)
         true_labels = parameter_labels(
             network.construction, network.recording.instruments, [law.effect for law in network.effects]
         )
-        (values, sigma), true = calibrated.estimates, batch.true_values
+        (values, sigma), true = calibrated.estimates_and_sigmas, batch.true_values
         if "z-scores" in wanted:
             columns |= z_score_columns(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:

@@ -19,17 +19,17 @@ from ltsim.campaigns.schema import (
     CellEntry,
     ManifestFile,
     StatisticGroup,
-    find_column,
+    find_result_column,
     number_of_shards,
 )
-from ltsim.core.errors import InputError, as_input_error, unknown_name_error
+from ltsim.core.errors import InputError, reraise_as_input_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.storage import read_whole_file
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
+from ltsim.simulation.scenario import KEY_REMOVAL_VALUE, Scenario, change_scenario, load_scenario
 from ltsim.simulation.scenario_keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.sections import PlacedEffect
 
@@ -172,7 +172,7 @@ class CampaignFile(TomlSection):
     def _check_stop_statistic(self) -> Self:
         if self.stop is None:
             return self
-        column = find_column(self.stop.statistic)
+        column = find_result_column(self.stop.statistic)
         if column is None:
             columns = [column.name for column in RESULT_COLUMNS]
             raise ValueError(
@@ -264,11 +264,11 @@ def load_campaign(
     """
     if tables is None and (path / ManifestFile.FILE).is_file():
         raise InputError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
-    with as_input_error():
+    with reraise_as_input_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
         campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
-        campaign = override_campaign(campaign, changes, path)
+        campaign = campaign_with_changes(campaign, changes, path)
     base = load_scenario(path_relative_to_campaign_file(campaign.scenario, path) or campaign.scenario)
     common_values = {
         key: convert_value(base, key, value, str(path))
@@ -284,7 +284,7 @@ def load_campaign(
     return campaign, tuple(items)
 
 
-def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
+def campaign_with_changes(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
     """Campaign with new values of its keys, or of dotted keys of the scenario in all cells; errors name `path`."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in key_changes.items():
@@ -296,7 +296,7 @@ def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], pa
             raise InputError(f"{path}: {key} varies in its cells or design: change it there")
         else:
             tables["scenario_changes"][key] = value
-    with as_input_error():
+    with reraise_as_input_error():
         return validate_settings(tables, CampaignFile, "campaign", path)
 
 
@@ -320,7 +320,7 @@ class CampaignCell:
         return CellEntry(cell=cell_index, label=label, scenario_changes=changes, levels=self.levels, digest=self.digest)
 
 
-def make_cells(
+def make_campaign_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
     """Factors of a campaign, and its cells; raises InputError for a cell without a valid scenario."""
@@ -345,14 +345,14 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
     """
     file = path_relative_to_campaign_file(name, path)
     if name.endswith(".csv"):
-        with as_input_error():
+        with reraise_as_input_error():
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
         changes = {
-            "gauge": REMOVAL_VALUE,
+            "gauge": KEY_REMOVAL_VALUE,
             "lengths": [],
-            "work.targets": REMOVAL_VALUE,
+            "work.targets": KEY_REMOVAL_VALUE,
             "targets": places,
             "effects": effects,
         }
@@ -386,12 +386,12 @@ def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
 def _with_cad_digests(scenario: Scenario) -> Scenario:
     """Scenario with the digests of its CAD files in place of their names."""
     hall = scenario.workshop
-    digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
+    digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
     obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]
     return scenario.model_copy(update={"workshop": hall.model_copy(update={"obstacles": tuple(obstacles)})})
 
 
-def read_cad(path: Path) -> bytes:
+def read_cad_bytes(path: Path) -> bytes:
     """Content of a CAD file; raises InputError."""
     try:
         return read_whole_file(path)

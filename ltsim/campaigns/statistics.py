@@ -22,7 +22,7 @@ from ltsim.campaigns.schema import (
     WITHOUT_RESULT,
     ManifestFile,
     error_columns_of_ratio,
-    find_column,
+    find_result_column,
     sql_identifier,
     statistic_sql_expressions,
     summary_table,
@@ -45,7 +45,7 @@ DATABASE_SETTINGS: dict[str, Any] = {
     "autoload_known_extensions": False,
 }
 """Settings of the database DuckDB; no query or file can make it download or load an extension."""
-MAX_ROWS_EXACT_QUANTILES = 50_000_000
+MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; with
 more rows the quantiles are approximated by a t-digest.
 """
@@ -137,7 +137,7 @@ class CampaignStatistics:
         places = ", ".join("?" * len(cells))
         self._database.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         manifest = self.manifest
         title = f"{manifest.title}: " if manifest.title else ""
         cells, methods = manifest.cells, manifest.methods
@@ -146,7 +146,7 @@ class CampaignStatistics:
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
             "summary": self._summary,
             "cells": self._cells,
@@ -206,7 +206,7 @@ class CampaignStatistics:
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
         n_values = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if n_values <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
+        kind = "quantile_cont" if n_values <= MAX_ROWS_FOR_EXACT_QUANTILES else "approx_quantile"
         select_list = (
             f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
             f"{[*QUANTILE_LEVELS]})"
@@ -307,7 +307,7 @@ class CampaignStatistics:
             factors=tuple(self.factors),
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
             solver_comparisons=tuple(self.solver_comparisons()),
-            meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
+            meanings={c: described.meaning for c in columns_used if (described := find_result_column(c))},
             columns=tuple(entry for column in columns_used for entry in self.statistic_summaries(column)),
             z_scores=tuple(self.z_score_summaries()),
         )

@@ -127,7 +127,7 @@ class CampaignFolder:
         `cell_digests` is the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is raised
         for a damaged shard.
         """
-        digests = self.recorded_digests()
+        digests = self.recorded_shard_digests()
         for path in shards:
             name = path.relative_to(self.folder).as_posix()
             if name in digests:
@@ -139,7 +139,7 @@ class CampaignFolder:
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} belongs to another campaign")
 
-    def recorded_digests(self) -> dict[str, str]:
+    def recorded_shard_digests(self) -> dict[str, str]:
         """Recorded digest of each shard, by the path of the shard in the folder."""
         try:
             text = read_whole_file(self.folder / DIGESTS_FILE).decode("ascii", "replace")
@@ -243,7 +243,7 @@ class CampaignFolder:
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
-            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_digests().items()).encode()
+            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_shard_digests().items()).encode()
             file = path_in_folder(self.folder, DIGESTS_FILE)
             if file.exists() and read_whole_file(file) != lines:
                 write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)

@@ -27,7 +27,7 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.simulator import with_certified_lengths
+from ltsim.simulation.simulator import with_certified_reference_lengths
 
 MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
 """Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
@@ -64,7 +64,7 @@ class CalibratedBatch:
     of the reflector, for reflectors whose error is estimated."""
 
     @property
-    def estimates(self) -> tuple[Floats, Floats]:
+    def estimates_and_sigmas(self) -> tuple[Floats, Floats]:
         """All estimated parameters, and their standard deviations, each (all parameters, trials) [SI].
 
         The rows are the parameters of each instrument, followed by those of the effects.
@@ -144,7 +144,7 @@ def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial
     """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
     recording = true_network.recording.with_readings(true_network.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
-    return with_certified_lengths(
+    return with_certified_reference_lengths(
         recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
     )
 
@@ -266,7 +266,7 @@ class BatchCalibrator(TrialCalibrator):
     def batch_network(self) -> BatchNetwork:
         """Nominal network, whose inverted normal matrix is used to adjust all trials."""
         true_network, built = self.true_network, self.construction if self.method == "network" else ideal_construction()
-        program, recorded = true_network.chain_program(built), true_network.is_recorded_observable
+        program, recorded = true_network.kinematic_chain(built), true_network.is_recorded_observable
         return BatchNetwork(
             true_network.recording, true_network.state, built, program, self.effects, is_adjusted_observable=recorded
         )

@@ -54,7 +54,7 @@ class TrialEvaluator:
         return self._measured_targets_and_weights[0]
 
     @cached_property
-    def has_criteria(self) -> bool:
+    def can_compute_criteria(self) -> bool:
         """True if the disagreement of the stations in distances and coordinates can be computed.
 
         At least two stations are needed, and each must share enough targets with the first station to determine its
@@ -90,7 +90,7 @@ class TrialEvaluator:
             construction, parameter_values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(reading_deviations.shape), np.zeros((*self.is_measured.shape, 3, trials))
         compute_points(
-            self.true_network.chain_program(construction),
+            self.true_network.kinematic_chain(construction),
             recording.instrument,
             reading_deviations,
             parameter_values,
@@ -170,7 +170,7 @@ class TrialEvaluator:
         perfect = self.mean_points_by_station(
             trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
         )
-        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
+        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.can_compute_criteria else {}
         columns["error_raw_um"] = self.measured_point_error(raw_clouds)
         columns["error_true_parameters_um"] = self.measured_point_error(perfect)
         return columns
@@ -197,7 +197,7 @@ class TrialEvaluator:
                 "ncqb,qb->ncb", self.true_network.effect_design(tuple(effects)), estimates.effect_values
             )
         corrected_clouds = self.mean_points_by_station(deviation, construction, estimates.instrument_values)
-        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
+        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.can_compute_criteria else {}
         columns["error_calibrated_um"] = self.measured_point_error(corrected_clouds)
         columns["target_error_um"] = self.adjusted_target_error(estimates.target_errors)
         return columns

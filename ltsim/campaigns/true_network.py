@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
+from ltsim.campaigns.kinematic_chain import KinematicChainArrays
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.core.limits import (
@@ -32,7 +32,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
+from ltsim.simulation.draws import DrawnTrialValues, EffectDistribution, StandardNormalSource, TrialDistributions
 from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
@@ -171,11 +171,13 @@ class TrueNetwork:
         return range_errors
 
     @cached_property
-    def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainProgram, Floats]]]:
+    def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[KinematicChainArrays, Floats]]]:
         """Kinematic chain and design matrix of each geometric error model for which they were computed."""
         return []
 
-    def kinematic_chain_and_reading_derivatives(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def kinematic_chain_and_reading_derivatives(
+        self, construction: GeometricErrorModel
+    ) -> tuple[KinematicChainArrays, Floats]:
         """Kinematic chain, and derivative (pointings, 3, parameters) of readings, at the nominal readings."""
         for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
@@ -185,12 +187,12 @@ class TrueNetwork:
 
     def _compute_kinematic_chain_and_reading_derivatives(
         self, construction: GeometricErrorModel
-    ) -> tuple[ChainProgram, Floats]:
+    ) -> tuple[KinematicChainArrays, Floats]:
         nominal_readings = self.recording.readings
         by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
-        return ChainProgram.from_construction(construction, nominal_readings), by_value
+        return KinematicChainArrays.from_construction(construction, nominal_readings), by_value
 
-    def chain_program(self, construction: GeometricErrorModel) -> ChainProgram:
+    def kinematic_chain(self, construction: GeometricErrorModel) -> KinematicChainArrays:
         """Kinematic chain of a geometric error model, linearised at the nominal readings."""
         return self.kinematic_chain_and_reading_derivatives(construction)[0]
 
@@ -236,9 +238,9 @@ class TrueNetwork:
         `stream_key` gives the same trials independent noise, for a second measurement.
         """
         draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
-        return self.batch_from_draw(draw, self._exact_deviations(draw.instrument_values))
+        return self.batch_from_draw(draw, self._exact_reading_deviations(draw.instrument_values))
 
-    def batch_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
+    def batch_from_draw(self, draw: DrawnTrialValues, reading_deviations: Floats) -> TrialBatch:
         """Batch of trials from drawn random values: readings, reference lengths and true parameters.
 
         `reading_deviations` (pointings, 3, trials) are exact minus nominal readings; the noise is added to this array
@@ -257,7 +259,7 @@ class TrueNetwork:
             draw.trial_numbers, draw.instrument_values, draw.effect_values, reading_deviations, length_errors
         )
 
-    def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
+    def _deviations_with_blunders(self, draw: DrawnTrialValues) -> Floats:
         """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, from the simulator."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
@@ -271,7 +273,7 @@ class TrueNetwork:
             parts.append(np.where(self.is_recorded_observable, gap, 0.0))
         return np.stack(parts, axis=2)
 
-    def _exact_deviations(self, true_parameters: Floats) -> Floats:
+    def _exact_reading_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (pointings, 3, trials) for true parameters [SI] of the instruments.
 
         Newton's method starts from the linear change of the readings.
@@ -344,14 +346,14 @@ def make_true_network(
         there = replace(reference_network.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.ideal_raw_readings, notes=geometry.hidden_pair_notes),
-            _state_in_start_frame(geometry, there.instrument_means),
+            _state_in_start_frame(geometry, there.instrument_error_means),
         )
         return replace(reference_network, recording=nominal, state=state, distributions=there, geometry=geometry)
     recording = error_free_recording(geometry)
     population = trial_distributions(geometry, recording)
     return TrueNetwork(
         recording=recording,
-        state=_state_in_start_frame(geometry, population.instrument_means),
+        state=_state_in_start_frame(geometry, population.instrument_error_means),
         distributions=population,
         resolution=instrument_resolutions(scenario),
         is_recorded_observable=np.isin(OBSERVABLES, [*next(iter(read))]),

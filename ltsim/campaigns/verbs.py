@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
-from ltsim.core.arguments import check_mapping, path_argument, path_of_file_or_built_in
+from ltsim.core.arguments import check_mapping_argument, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def campaign(
     from ltsim.campaigns.store import MANIFEST_FILE
 
     workers = WorkerSettings(jobs, backend, scheduler)
-    check_mapping("changes", changes)
+    check_mapping_argument("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
         raise InputError("a campaign without a file needs a folder for its rows: out=...")

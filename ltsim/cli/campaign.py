@@ -16,7 +16,7 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
-from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
+from ltsim.core.arguments import argument_bounds_text, bounded_number_parser, path_of_file_or_built_in
 from ltsim.core.errors import InputError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -130,8 +130,8 @@ RecoverJobsOption = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded_parser("jobs"),
-        metavar=f"NUMBER: {bounds_text('jobs')}",
+        parser=bounded_number_parser("jobs"),
+        metavar=f"NUMBER: {argument_bounds_text('jobs')}",
         help="Number of processes; default: one per core, or a single one if the trials are few.",
     ),
 ]

@@ -26,7 +26,7 @@ from ltsim.core.storage import (
     check_writable,
     complete_interrupted_moves,
     is_device,
-    is_unmodified,
+    is_unmodified_since_written,
     open_for_reading,
     path_in_folder,
     read_whole_file,
@@ -217,7 +217,7 @@ def check_new_file(file: Path, force: bool) -> None:
     check_writable(file, is_folder=False)
     if force or not os.path.lexists(file) or is_device(file):
         return
-    if file.is_file() and is_unmodified(file):
+    if file.is_file() and is_unmodified_since_written(file):
         return
     if file.is_file() and file.suffix == ".html":
         with open_for_reading(file) as stream:

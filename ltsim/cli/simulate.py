@@ -193,7 +193,7 @@ def _run_injection_curve(
         detection_curve = lt.injection_curve(recording, effect_specification, **options)
     table = detection_curve.table()
     terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
-    terminal.print_text(detection_curve._lines()[0])
+    terminal.print_text(detection_curve._summary_lines()[0])
     terminal.print_text(table.text())
     if file is not None:
         write_text(file, table.csv_text())

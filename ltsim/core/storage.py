@@ -27,11 +27,12 @@ from ltsim.core.limits import BYTES_PER_MIB
 FILE_MODE = 0o666
 """Permissions of a new file, which the umask restricts further."""
 MAX_JOURNAL_BYTES = BYTES_PER_MIB
-"""Largest size [bytes] of a journal, that of 10,000 files; no command writes so many at once."""
+"""Largest size [bytes] of a journal file (list of pending renamings) that is read: the size for 10,000 files."""
 _PROCESS_TOKEN = secrets.token_hex(4)
-"""Random identifier of this process, because the operating system reuses process numbers."""
+"""Random identifier of this process in the names of its temporary files. The process number is not enough, because the
+operating system reuses it."""
 _TEMPORARY_NAME_PATTERN = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
-"""Pattern of the names of temporary files and journals; its groups are number and random identifier of the process."""
+"""Pattern of the names of temporary files and journals; its groups are process number and random process identifier."""
 
 
 def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
@@ -70,8 +71,8 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
 def write_to_device(path: Path, content: bytes) -> None:
     """Writing to a pipe or device that the user names.
 
-    OSError is raised if it cannot be written; so it is for a pipe from which no process reads, where writing would wait
-    without end.
+    OSError is raised if the device cannot be written, and for a pipe from which no process reads, because writing to it
+    would never end.
     """
     try:
         handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
@@ -86,17 +87,17 @@ def write_to_device(path: Path, content: bytes) -> None:
 
 
 def require_no_link(folder: Path, name: str) -> None:
-    """Check that a file in a folder, if it exists, is no link, neither symbolic nor hard; raises RecordError."""
+    """Check that a file in a folder, if it exists, is neither a symbolic nor a hard link; raises RecordError."""
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
         raise RecordError("has another name elsewhere (hard link); remove it, or choose another folder", file=path)
 
 
 def append_text(folder: Path, name: str, text: str) -> None:
-    """Appending of ASCII text to a file in a folder, without change of other names (hard links) of the same file.
+    """Appending of ASCII text to a file in a folder; other names (hard links) of the file keep the old content.
 
-    OSError is raised if the file cannot be written, and RecordError for a link that leads out of the folder and for a
-    pipe or device.
+    OSError is raised if the file cannot be written. RecordError is raised for a link that leads out of the folder, and
+    for a pipe or device.
     """
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
@@ -108,7 +109,8 @@ def append_text(folder: Path, name: str, text: str) -> None:
 def open_for_reading(path: Path) -> BufferedReader:
     """File, opened for reading in binary mode.
 
-    OSError is raised if it cannot be opened, and for a folder, a pipe or a device, from which reading might not end.
+    OSError is raised if the path cannot be opened. It is also raised for a folder, a pipe or a device, because reading
+    from these might never end.
     """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     mode = os.fstat(handle).st_mode
@@ -127,9 +129,9 @@ def read_whole_file(path: Path) -> bytes:
 
 
 def complete_interrupted_moves(folder: Path) -> set[str]:
-    """Names of the files whose interrupted renaming was completed; temporary files of killed processes are removed.
+    """Completion of renamings that a killed process left unfinished; returns the final names of the renamed files.
 
-    OSError is raised if the folder cannot be written.
+    Temporary files of killed processes are removed. OSError is raised if the folder cannot be written.
     """
     finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
@@ -153,7 +155,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
 
 def path_in_folder(folder: Path, file_name: str) -> Path:
-    """Path of a file in a folder after resolution of links.
+    """Path of a file in a folder after resolution of symbolic links.
 
     RecordError is raised for a link that leads out of the folder, and for a pipe or device.
     """
@@ -169,12 +171,12 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
 
 
 def with_digest_comment(text: str) -> str:
-    """XML text with its digest in a comment at its end, by which `is_unmodified` recognises it."""
+    """XML text with its SHA-256 digest in a comment at the end, which shows whether the file was modified later."""
     return f"{text}<!-- written by ltsim, sha256 {hashlib.sha256(text.encode()).hexdigest()} -->\n"
 
 
-def is_unmodified(path: Path) -> bool:
-    """True for a file with a text of `with_digest_comment` that has not been modified since it was written."""
+def is_unmodified_since_written(path: Path) -> bool:
+    """True for a file that ltsim wrote with `with_digest_comment` and that has not been modified since."""
     n_bytes = len(with_digest_comment("").encode())
     with open_for_reading(path) as stream:
         stream.seek(-min(n_bytes, path.stat().st_size), os.SEEK_END)
@@ -223,6 +225,7 @@ def _check_nearest_folder_writable(path: Path, folder: Path) -> None:
 
 
 def _temporary_name(file_suffix: str) -> str:
+    """Unique name of a temporary file of this process, with the suffix `file_suffix`."""
     return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{file_suffix}"
 
 
@@ -256,7 +259,7 @@ def _is_inside_folder(folder: Path, file_name: str) -> bool:
 
 
 def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
-    """Temporary files, with the suffix `file_suffix`, whose processes have ended, in a folder and its subfolders.
+    """Temporary files with the suffix `file_suffix` in a folder and its subfolders whose processes have ended.
 
     Files behind symbolic links are left out.
     """
@@ -268,6 +271,7 @@ def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
 
 
 def _is_running(process_id: int, process_token: str) -> bool:
+    """True if the process with this number and random identifier is still running, or if this cannot be determined."""
     if os.name == "nt":  # where `os.kill` would end the process
         return True
     if process_id == os.getpid():

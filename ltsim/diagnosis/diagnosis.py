@@ -125,7 +125,7 @@ class Diagnosis(ResultFile):
         """Adjustment with the findings in the model."""
         return self.arrays.final_adjustment
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         lines = [f"Diagnosis: {self.verdict}", self.summary]
         if self.fit is None:
             return lines
@@ -137,7 +137,7 @@ class Diagnosis(ResultFile):
                 phrase += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
         return [*lines, phrase]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "findings": self._findings_table,
             "targets": self._coordinates_table,

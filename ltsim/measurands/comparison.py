@@ -22,7 +22,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import names_text
-from ltsim.core.probability import p_relation_text
+from ltsim.core.probability import p_value_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -113,12 +113,12 @@ class Comparison(ResultFile):
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacement and test of each point that both epochs contain, in the order of the first recording."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [
             self.sentence,
             *self.notes,
-            f"hypothesis of no displacement: {p_relation_text(self.p_value)} for all points, "
-            f"{p_relation_text(self.p_value_without_moved_points)} for the points that did not move",
+            f"hypothesis of no displacement: {p_value_relation_text(self.p_value)} for all points, "
+            f"{p_value_relation_text(self.p_value_without_moved_points)} for the points that did not move",
         ]
 
     @property
@@ -126,7 +126,7 @@ class Comparison(ResultFile):
         """Errors of both recordings that the model corrects."""
         return corrected_faults((*self.tests, *self.second_tests))
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.table_row for d in self.displacements)}
 
     @property

@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_ROW_FIELDS
 from ltsim.core.results import escape_formula, unescape_formula
-from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
+from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
     MAX_NUMBER_LENGTH,
@@ -192,7 +192,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
-            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
+            and unit.lower() in (*UNIT_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
             raise location.error(f"the unit '{unit}' is not one of this format, expected {right}", name)

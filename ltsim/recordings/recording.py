@@ -141,10 +141,10 @@ class Recording(Result):
             f"{in_faces}, {len(self.gauge.distance)} known lengths{differences}"
         )
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [f"Recording: {self.headline}", *self.notes]
 
-    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], ColumnValues]]:
         return {"pointings": self._pointings_table}
 
     def _pointings_table(self) -> ColumnValues:

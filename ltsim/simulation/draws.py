@@ -107,7 +107,7 @@ class _SingleTrialSource(StandardNormalSource):
 
 
 @dataclass(frozen=True)
-class TrialDraw:
+class DrawnTrialValues:
     """Random values drawn for several trials; the last axis of each array has one entry per trial."""
 
     trial_numbers: Ints
@@ -130,11 +130,11 @@ class TrialDistributions:
     """Pointings with the true positions of stations and targets."""
     construction: GeometricErrorModel
     """Instrument model that generates the readings."""
-    instruments: tuple[str, ...]
+    instrument_names: tuple[str, ...]
     """Names of the trackers; '' for a tracker without a name."""
-    instrument_means: Floats
+    instrument_error_means: Floats
     """Means of the instrument errors, shape (instruments, parameters) [SI]."""
-    instrument_sigmas: Floats
+    instrument_error_sigmas: Floats
     """Standard deviations of the normally distributed instrument errors, shape (instruments, parameters) [SI]."""
     noise_sigmas: Floats
     """Standard deviations of the readings before effects change the noise, shape (pointings, 3) [m, rad, rad]."""
@@ -149,7 +149,7 @@ class TrialDistributions:
 
     def draw(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
-    ) -> TrialDraw:
+    ) -> DrawnTrialValues:
         """Random values of the trials of `normal_source`.
 
         `instrument_values`, if given, replaces the drawn instrument errors, (instruments, parameters, trials) [SI].
@@ -163,7 +163,7 @@ class TrialDistributions:
         for column, name in enumerate(OBSERVABLES):
             np.multiply(sigma[:, column], normal_source(count, *noise_key, name), out=white[:, column])
         errors = self._draw_instrument_values(normal_source) if instrument_values is None else instrument_values
-        return TrialDraw(
+        return DrawnTrialValues(
             normal_source.trial_numbers,
             errors,
             effect_values,
@@ -173,12 +173,12 @@ class TrialDistributions:
 
     def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
         """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
-        instrument_values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trial_numbers), axis=2)
-        for i, name in enumerate(self.instruments):
+        instrument_values = np.repeat(self.instrument_error_means[:, :, None], len(normal_source.trial_numbers), axis=2)
+        for i, name in enumerate(self.instrument_names):
             key = ("instrument", name) if name else ("instrument",)
-            for k in np.flatnonzero(self.instrument_sigmas[i]):
+            for k in np.flatnonzero(self.instrument_error_sigmas[i]):
                 instrument_values[i, k] += (
-                    self.instrument_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
+                    self.instrument_error_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
                 )
         return instrument_values
 
@@ -236,7 +236,7 @@ class TrialDistributions:
             expansion_factors += (change / (lengths.lengths / lengths.expansion_factors))[:, None] * normal_source(
                 1, name
             )
-        true_lengths = lengths.lengths[:, None] + self.length_change(effect_values)
+        true_lengths = lengths.lengths[:, None] + self.reference_length_change(effect_values)
         draws = [
             normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
             for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
@@ -247,7 +247,7 @@ class TrialDistributions:
             (true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_ROUNDING_STEP
         )
 
-    def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
+    def reference_length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true reference lengths by effects with the parameters `effect_values` [SI].
 
         The shape is (lengths, trials) [m], or (lengths, 1) without random effects.

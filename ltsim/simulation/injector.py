@@ -22,7 +22,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import constants_in_display_units
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.simulator import with_certified_lengths
+from ltsim.simulation.simulator import with_certified_reference_lengths
 
 INJECTION_FORMAT = "ltsim-injection/1"
 """Format and version of a truth file of injections."""
@@ -52,7 +52,7 @@ class InjectedEffect(Result):
     """Largest absolute change of a reading, by observable: distance [um], azimuth and elevation [urad]. For an effect
     on the noise, the largest added standard deviation."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         sizes_text = ", ".join(
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
@@ -62,7 +62,7 @@ class InjectedEffect(Result):
     def _parameter_entries(self) -> list[tuple[Any, float]]:
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
 
-    def _tables(self) -> dict[str, Any]:
+    def _table_makers(self) -> dict[str, Any]:
         return {"parameters": self._parameter_columns}
 
     def _parameter_columns(self) -> ColumnValues:
@@ -95,7 +95,7 @@ class InjectionTruth(Result):
     injected_effects: tuple[InjectedEffect, ...]
     """Effects in the order of their injection."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
@@ -147,7 +147,7 @@ class DetectionCurve(Result):
     rows: tuple[Mapping[str, float], ...]
     """Row of the curve for each noncentrality: values by column name."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         reported = ", ".join(self.effects_without_injection) or "nothing"
         lines = [
             f"{self.effect_specification}, injected into the recording; findings without the injection: {reported}"
@@ -158,7 +158,7 @@ class DetectionCurve(Result):
             for row in self.rows
         ]
 
-    def _tables(self) -> dict[str, Any]:
+    def _table_makers(self) -> dict[str, Any]:
         return {"curve": lambda: DETECTION_CURVE_TABLE.with_rows(self.rows)}
 
 
@@ -191,7 +191,7 @@ class Injector:
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
-    def length_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
+    def reference_length_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
         """Change of the reference lengths by an effect, shape (lengths,) [m]."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
         return (
@@ -215,7 +215,9 @@ class Injector:
             factor = 1.0 + (self.added_noise_sigma(effect, parameter_values) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, parameter_values))
-        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, parameter_values)[:, None])[:, 0]
+        whitened_change = space.whiten(
+            change[:, :, None], self.reference_length_change(effect, parameter_values)[:, None]
+        )[:, 0]
         projected_design = space.project(whitened_change)
         square = float(projected_design @ projected_design)
         return square if square > NORMAL_EQUATIONS_TOLERANCE * float(whitened_change @ whitened_change) else 0.0
@@ -274,7 +276,7 @@ class Injector:
         else:
             change = self.reading_change(effect, parameter_values)
         injected_recording = self.recording.with_readings(self.recording.readings + change)
-        lengths = self.length_change(effect, parameter_values)
+        lengths = self.reference_length_change(effect, parameter_values)
         if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
                 f"{effect_specification}: changes no reading; give measured stations or targets, after the time if "
@@ -285,7 +287,7 @@ class Injector:
             if injected_recording.setup.gauge is None or len(injected_recording.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in injected_recording.gauge.distance]) * 1e-3
-            injected_recording = with_certified_lengths(
+            injected_recording = with_certified_reference_lengths(
                 injected_recording, certified + lengths * certified / gauge.lengths
             )
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)

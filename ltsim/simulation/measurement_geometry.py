@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.limits import MAX_SIMULATED_POINTINGS
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
@@ -257,7 +257,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
     targets_without_normal = [
         name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
     ]
-    with as_input_error():
+    with reraise_as_input_error():
         lengths = excess_radii_from_smr_names(
             names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
         )

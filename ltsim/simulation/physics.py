@@ -3,7 +3,7 @@
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect
@@ -57,7 +57,7 @@ def _tracker_error_distribution(
     """
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
-        with as_input_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
+        with reraise_as_input_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
             construction.parameter_index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.dead_path import AIR_TEMPERATURE_COLUMN
 from ltsim.physics.effects.effect import Effect
@@ -48,7 +48,7 @@ ALWAYS_WRITTEN_KEYS = (
     "gauge", "air",
 )  # fmt: skip
 """Keys that are written to the file of a scenario even with their default values."""
-REMOVAL_VALUE = "none"
+KEY_REMOVAL_VALUE = "none"
 """Value that removes a key from the scenario, as in ``gauge = "none"``."""
 
 
@@ -112,7 +112,7 @@ class Scenario(TomlSection, Result):
         """Names of the stations where the tracker named `tracker` stands."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         faces = "two faces" if self.work.faces == 2 else "one face"
         effects = ", ".join(entry.name for entry in self.effects) or "no effects"
@@ -130,15 +130,17 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
-    with as_input_error():
+    with reraise_as_input_error():
         data = read_toml(path, "scenario")
     return validate_scenario(data, path)
 
 
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
-    with as_input_error():
-        completed_tables = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
+    with reraise_as_input_error():
+        completed_tables = with_completed_instruments(
+            _with_base_scenario(tables), lambda table, _: _with_preset_values(table, file)
+        )
         scenario = validate_settings(completed_tables, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_reduced_network(scenario, file), file)
@@ -156,12 +158,12 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
-        _set_key(table, key, _file_value(value, effects=key == "effects"), error_location or str(file))
+    for key, value in [*((key, KEY_REMOVAL_VALUE) for key in brought), *changes.items()]:
+        _set_key(table, key, _toml_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
 
-def _file_value(value: Any, *, effects: bool) -> Any:
+def _toml_value(value: Any, *, effects: bool) -> Any:
     """Value of a key in the form of the file; if `effects` is true, effect objects and names become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
@@ -175,7 +177,7 @@ def _file_value(value: Any, *, effects: bool) -> Any:
 def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
     """Assignment of a value to one dotted key in nested tables.
 
-    Entries of lists are numbered from 1. The value `REMOVAL_VALUE` removes the key.
+    Entries of lists are numbered from 1. The value `KEY_REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
     subtable: Any = table
@@ -190,29 +192,29 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
     if not isinstance(subtable, dict):
         wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
         raise InputError(f"{error_location}: {safe_excerpt(key)} is not a key of a list entry; expected {wanted}")
-    if value == REMOVAL_VALUE:
+    if value == KEY_REMOVAL_VALUE:
         subtable.pop(last, None)
     else:
         subtable[last] = value
 
 
-def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
+def _with_base_scenario(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     """TOML tables of a scenario, completed by the tables of the built-in scenario that its key `base` names."""
     if tables.get("base") is None:
         return tables
-    below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
+    below = _with_base_scenario(read_toml(builtin_path(str(tables["base"])), "scenario"))
     merged_tables = merge_defaults(tables, below)
-    return {key: value for key, value in merged_tables.items() if key != "base" and value != REMOVAL_VALUE}
+    return {key: value for key, value in merged_tables.items() if key != "base" and value != KEY_REMOVAL_VALUE}
 
 
-def _with_preset(instrument: Any, file: Path) -> Any:
+def _with_preset_values(instrument: Any, file: Path) -> Any:
     """TOML table of an instrument, completed by the values of its preset; errors name `file`."""
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
     if name not in data_sheet_names():
         return merge_defaults(instrument, PRESETS.get(str(name), {}))
-    with as_input_error(f"{file}: instrument.preset"):
+    with reraise_as_input_error(f"{file}: instrument.preset"):
         below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
 
@@ -323,7 +325,7 @@ def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
             yield f"gauge.targets names '{safe_excerpt(name)}' twice, or it is also a table of [targets]"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
-            with as_input_error():
+            with reraise_as_input_error():
                 SourceLocation(file).name(name, kind)
 
 

@@ -3,7 +3,7 @@
 from typing import Any, Literal
 
 from ltsim.core.errors import InputError, LtsimError
-from ltsim.core.units import parse_in_unit, unit_of_key
+from ltsim.core.units import parse_quantity_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.settings import schemas_at
@@ -12,14 +12,14 @@ from ltsim.simulation.scenario import Scenario
 
 ValueType = Literal["number", "integer", "boolean", "string", "table"]
 """Type of the value of a scenario key."""
-SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
+SCALAR_VALUE_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
 """Types of the values that are not tables."""
 
 
 def value_type_of_key(dotted_key: str) -> ValueType:
     """Type of the value of a dotted key; `table` for a list, a table or an unknown key."""
     kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
-    return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
+    return next((kind for kind in SCALAR_VALUE_TYPES if kind in kinds), "table")
 
 
 def key_description(dotted_key: str) -> str:
@@ -58,7 +58,7 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
     unit = unit_of_scenario_key(scenario, dotted_key)
-    converted_number = parse_in_unit(value, unit) if unit else None
+    converted_number = parse_quantity_in_unit(value, unit) if unit else None
     if unit and converted_number is None:
         raise InputError(
             f"{error_location}: {dotted_key} is '{safe_excerpt(value)}', expected a number in {unit}, "

@@ -79,7 +79,7 @@ def measure_trial(
         tuple(amount[:, 0] for amount in drawn.effect_values),
     )
     readings = simulate_readings(geometry, true_instrument_errors, amounts, drawn.reading_errors[:, :, 0])
-    recording = with_certified_lengths(blank.with_readings(readings), drawn.certified_lengths[:, 0])
+    recording = with_certified_reference_lengths(blank.with_readings(readings), drawn.certified_lengths[:, 0])
     return recording, _truth_of_trial(geometry, true_instrument_errors, amounts, seed, trial_number)
 
 
@@ -100,7 +100,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
         covariates=s.covariates,
         labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )
-    blank = with_exact_lengths(bare_recording, geometry)
+    blank = with_exact_reference_lengths(bare_recording, geometry)
     return blank.replace(
         notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
     )
@@ -116,9 +116,9 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
     return TrialDistributions(
         sightings=geometry.sightings,
         construction=geometry.construction,
-        instruments=tuple(scenario.trackers_in_use),
-        instrument_means=mean,
-        instrument_sigmas=sigma,
+        instrument_names=tuple(scenario.trackers_in_use),
+        instrument_error_means=mean,
+        instrument_error_sigmas=sigma,
         noise_sigmas=true_noise_sigmas(scenario, geometry.sightings),
         reference_lengths=ReferenceLengths.from_recording(error_free_recording),
         length_end_names=error_free_recording.targets,
@@ -269,7 +269,7 @@ def _truth_of_trial(
     return Truth.from_arrays(arrays, s.station_names, s.target_names, units, **settings, **noise)
 
 
-def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
+def with_exact_reference_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
     """Recording with reference lengths that equal the true distances between the reflectors, and their declarations.
 
     The certificates have no error.
@@ -296,7 +296,7 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     )
     by_machine = cmm_length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
-    return with_certified_lengths(blank, certified, sigma)
+    return with_certified_reference_lengths(blank, certified, sigma)
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
@@ -314,7 +314,7 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def with_certified_lengths(
+def with_certified_reference_lengths(
     recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
 ) -> Recording:
     """Recording whose reference lengths at calibration are replaced by `reference_lengths` (lengths,) [m].

@@ -313,12 +313,12 @@ class Truth(ResultFile):
         """Names of the targets."""
         return tuple(target.name for target in self.targets)
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         effects = ", ".join(effect.name for effect in self.effects) or "no effects"
         return [f"Truth: {title}seed {self.seed}, {len(self.parameters)} instrument parameters, {effects}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "instrument": lambda: TRUE_INSTRUMENT_ERRORS_TABLE.with_rows(
                 [p.qualified_name, p.value, p.unit] for p in self.parameters

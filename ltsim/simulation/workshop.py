@@ -25,7 +25,7 @@ from ltsim.scene.visibility import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, Obstacle, ScenarioGauge, ScenarioInstrument
 
-PAPER_TABLE_2_LENGTHS = MappingProxyType(
+PAPER_GAUGE_LENGTHS_MM = MappingProxyType(
     {
         "columns": (357.6066, 388.0144, 454.4203, 590.1060, 386.7815, 355.9437),
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
@@ -33,7 +33,7 @@ PAPER_TABLE_2_LENGTHS = MappingProxyType(
 )
 """Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in Table 2 of Sensors 2021, 21, 7479,
 for each order in which this table can be read (`ScenarioGauge.table_reading_order`)."""
-MAX_RELATIVE_LENGTH_ERROR = 1e-7
+MAX_GAUGE_LENGTH_DIFFERENCE = 1e-7
 """Largest relative difference between the declared lengths of a gauge and the lengths of the rigid frame that fits
 them. If it is exceeded, the declared lengths contradict each other."""
 
@@ -68,7 +68,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     first, second = np.array(target_pairs, dtype=np.int64).T
     frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
     worst_length = int(np.argmax(np.abs(frame.lengths - lengths)))
-    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
+    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_GAUGE_LENGTH_DIFFERENCE:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
         message = f"{a}-{b} is declared as {wanted:.4f} mm, but the other lengths require {has:.4f} mm"
@@ -83,7 +83,7 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
             raise InputError(f"gauge.targets: has {len(names)} reflectors, but {message}")
-        return list(PAPER_TABLE_2_LENGTHS[gauge.table_reading_order])
+        return list(PAPER_GAUGE_LENGTHS_MM[gauge.table_reading_order])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))

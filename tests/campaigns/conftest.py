@@ -44,9 +44,9 @@ def truth_of(
     population = TrialDistributions(
         sightings=sightings_at_state(recording, state),
         construction=built,
-        instruments=("",),
-        instrument_means=np.zeros_like(sigma),
-        instrument_sigmas=scale * sigma,
+        instrument_names=("",),
+        instrument_error_means=np.zeros_like(sigma),
+        instrument_error_sigmas=scale * sigma,
         noise_sigmas=recording.sigma(),
         reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=recording.targets,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.design import KeyRange, cell_label, short_key_names
-from ltsim.campaigns.spec import load_campaign, make_cells
+from ltsim.campaigns.spec import load_campaign, make_campaign_cells
 from ltsim.core.errors import InputError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
@@ -20,7 +20,7 @@ def made(tmp_path: Path, text: str):
     file = tmp_path / "made.toml"
     file.write_text(HEAD + text)
     campaign, scenarios = load_campaign(file)
-    factors, cells = make_cells(campaign, scenarios, file)
+    factors, cells = make_campaign_cells(campaign, scenarios, file)
     return campaign, scenarios, factors, [cell.levels for cell in cells]
 
 

@@ -245,7 +245,7 @@ def test_an_interruption_of_a_query_is_an_interruption(sweep: Any, monkeypatch: 
 
     long = "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range * b.range % 7 = 3"
     before = signal.signal(signal.SIGVTALRM, interrupt)
-    monkeypatch.setattr(CampaignStatistics, "_lines", lambda self: [str(self.query(long))])
+    monkeypatch.setattr(CampaignStatistics, "_summary_lines", lambda self: [str(self.query(long))])
     for work in (lambda: sweep.query(long), lambda: str(sweep)):
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.1)
         try:

@@ -198,7 +198,7 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
         digests.write_text(cut)
         assert run_campaign(file, out, resume=True).n_existing_shards == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
-        assert CampaignFolder(out).recorded_digests().keys() == {
+        assert CampaignFolder(out).recorded_shard_digests().keys() == {
             f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)
         }
     assert not list(out.rglob(".ltsim-*"))

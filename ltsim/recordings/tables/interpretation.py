@@ -23,7 +23,7 @@ from ltsim.core.units import (
     LENGTH_UNITS,
     MILLIMETRE,
     SI_PER_UNIT,
-    UNITS_BY_SPELLING,
+    UNIT_BY_SPELLING,
     unit_ratio,
 )
 from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
@@ -180,7 +180,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
 
 def _unit_in_title(column: TableColumn) -> str:
     """Unit in the title of a column, in brackets or after an underscore; '' for none."""
-    return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
+    return column.unit or UNIT_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
 
 
 def _angle_conventions(

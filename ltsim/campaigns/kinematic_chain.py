@@ -21,7 +21,7 @@ is 1e-9.
 """
 
 
-class ChainProgram(NamedTuple):
+class KinematicChainArrays(NamedTuple):
     """Kinematic chain as arrays: rotations and translations (motions) from the base to the target, with parameters.
 
     The amount of a motion is the angle [rad] of a rotation or the length [m] of a translation.
