@@ -47,21 +47,21 @@ ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge", "air",
 )  # fmt: skip
-"""Keys that are written to the file of a scenario even with their default values."""
+"""Keys that are written to a scenario file even if they have their default values."""
 KEY_REMOVAL_VALUE = "none"
-"""Value that removes a key from the scenario, as in ``gauge = "none"``."""
+"""Value that removes a key from a scenario, as in ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
-    """Scenario of a simulation, with the content of its file."""
+    """Scenario of a simulation: all its inputs except the seed, with the content of the scenario file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
     """Format and version of this file."""
     title: str = ""
     """Title of the scenario, free text."""
     base: str | None = None
-    """Built-in scenario that supplies tables and keys that are missing in this file; the value "none" removes a key or
-    table of that scenario."""
+    """Built-in scenario that supplies missing tables and keys; the value "none" for a key removes that of the scenario.
+    """
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
@@ -73,11 +73,11 @@ class Scenario(TomlSection, Result):
     smr: Smr = Smr()
     """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. The SMR's
-    centre is displaced along the nest's normal. True radii are drawn together with the positions.
-    """
+    """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. An SMR whose
+    radius differs from the reference radius is displaced along the normal of its nest. True radii are drawn."""
     reference_radius_mm: NonNegative | None = None
-    """Radius of the SMR whose centre is at the planned position, 0 for nest seats; it is copied to `setup.toml`."""
+    """Radius of the SMR whose centre the planned positions describe; 0 if they describe the nest seats. The recording's
+    `setup.toml` contains a copy."""
     cmm: CoordinateMeasuringMachine = CoordinateMeasuringMachine()
     """Coordinate measuring machine that calibrated the gauge."""
     work: MeasurementProcedure = MeasurementProcedure()
@@ -93,7 +93,8 @@ class Scenario(TomlSection, Result):
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air's state that the recording declares, a table `[air]`; it does not change readings."""
+    """Uncertainty of the air along the beams, as the recording declares it (table `[air]`); it does not change
+    readings."""
     effects: tuple[EffectEntry, ...] = ()
     """Effects that change the readings in addition to the instrument's errors, tables `[[effects]]`."""
 
@@ -109,7 +110,7 @@ class Scenario(TomlSection, Result):
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
     def stations_of_tracker(self, tracker: str) -> tuple[str, ...]:
-        """Names of the stations where the tracker named `tracker` stands."""
+        """Names of the stations at which the tracker named `tracker` stands."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
     def _summary_lines(self) -> list[str]:
@@ -124,7 +125,7 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Built-in scenario with this name, or scenario in a file or in the folder of a plan; raises InputError."""
+    """Built-in scenario with the given name, or scenario in a file or in the folder of a plan; raises InputError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
@@ -138,16 +139,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
     with reraise_as_input_error():
-        completed_tables = with_completed_instruments(
-            _with_base_scenario(tables), lambda table, _: _with_preset_values(table, file)
-        )
+        completed_tables = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(completed_tables, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_reduced_network(scenario, file), file)
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
-    """Validated scenario with the new values `changes` by dotted key; errors name `file` and `error_location`.
+    """Validated scenario with new values `changes` by dotted key; errors name `file` and `error_location`.
 
     A new `preset` of a tracker also sets the noise, prior and limits of the tracker. InputError is raised for an
     invalid key or value.
@@ -164,7 +163,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
 
 
 def _toml_value(value: Any, *, effects: bool) -> Any:
-    """Value of a key in the form of the file; if `effects` is true, effect objects and names become tables."""
+    """Value of a key as in a TOML file; if `effects` is true, effect objects and names of effects become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -198,16 +197,16 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
         subtable[last] = value
 
 
-def _with_base_scenario(tables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """TOML tables of a scenario, completed by the tables of the built-in scenario that its key `base` names."""
+def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
+    """TOML tables of a scenario, completed by those of the built-in scenario that the key `base` names."""
     if tables.get("base") is None:
         return tables
-    below = _with_base_scenario(read_toml(builtin_path(str(tables["base"])), "scenario"))
+    below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
     merged_tables = merge_defaults(tables, below)
     return {key: value for key, value in merged_tables.items() if key != "base" and value != KEY_REMOVAL_VALUE}
 
 
-def _with_preset_values(instrument: Any, file: Path) -> Any:
+def _with_preset(instrument: Any, file: Path) -> Any:
     """TOML table of an instrument, completed by the values of its preset; errors name `file`."""
     if not isinstance(instrument, dict):
         return instrument
@@ -220,10 +219,10 @@ def _with_preset_values(instrument: Any, file: Path) -> Any:
 
 
 def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario reduced to ``work.stations`` stations and ``work.targets`` targets off the gauge; errors name `file`.
+    """Scenario reduced to ``work.stations`` stations and to ``work.targets`` targets that are not on the gauge.
 
     Excluded stations and targets are removed from effects, and trackers without a station are removed. InputError is
-    raised if more are requested than exist, or if fewer than three targets remain.
+    raised if too many are requested, or if fewer than three targets remain.
     """
     work = scenario.work
     for key in ("stations", "targets"):
@@ -253,7 +252,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """Effects restricted to the remaining `stations` and `targets`; an effect that acts at none of them is omitted."""
+    """Effects restricted to the remaining `stations` and `targets`, without those that act at none of them."""
     for entry in effects:
         here = tuple(name for name in entry.stations if name in stations)
         at = tuple(name for name in entry.targets if name in targets)
@@ -269,7 +268,7 @@ def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int)
 
 
 def space_filling_order(points: Floats) -> list[int]:
-    """Indices of points (points, 3) in an order that fills the hall evenly: each is farthest from the previous ones."""
+    """Indices of points (points, 3) in an order in which each point is as far as possible from all previous ones."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):
@@ -308,7 +307,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
 
 
 def unknown_name_sentences(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
-    """Sentence if `name`, the value of `key`, is not in `names`; `list_text_if_empty` replaces an empty list."""
+    """Sentence if `name`, the value of `key`, is not one of `names`; `list_text_if_empty` replaces an empty list."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{safe_excerpt(name)}', which is not one of {listed or list_text_if_empty}"
@@ -330,7 +329,7 @@ def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
 
 
 def _invalid_tracker_sentences(scenario: Scenario) -> Iterator[str]:
-    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different designs."""
+    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different models."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:

@@ -29,12 +29,13 @@ def key_description(dotted_key: str) -> str:
 
 
 def _schema_type(schema_node: dict[str, Any]) -> str:
+    """Type of the values that a node of the JSON schema permits; `integer` for a list of permitted integers."""
     words = schema_node.get("enum", [schema_node.get("const")])
     return "integer" if isinstance(words[0], int) else str(schema_node.get("type", "string"))
 
 
 def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
-    """Unit of the value of a dotted key, by the key's ending (`_mm`) or by the instrument parameter that it names."""
+    """Unit of the value of a dotted key, from its ending (`_mm`) or from the parameter that it names; else ''."""
     *parents, last = dotted_key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
@@ -52,8 +53,7 @@ def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
 def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_location: str) -> Any:
     """Value in the unit of its key: a text with a unit such as ``2 urad`` is converted, other values are unchanged.
 
-    InputError is raised if the unit of the text measures another quantity than that of the key; its message begins with
-    `error_location`.
+    InputError is raised if the text has a unit of another quantity; its message begins with `error_location`.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value

@@ -38,7 +38,8 @@ from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArra
 from ltsim.simulation.workshop import cmm_length_sigmas, measure_points_by_cmm
 
 GeometrySharing = Literal["shared", "per-trial"]
-"""Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
+"""Use of true positions by the trials: `shared` for one draw of all positions, `per-trial` for a separate draw per
+trial."""
 
 
 def simulate(
@@ -46,13 +47,14 @@ def simulate(
 ) -> tuple[Recording, Truth]:
     """Recording and true values of trial number `trial` of a scenario; a campaign with this seed has the same trial.
 
-    InputError is raised for an impossible scenario.
+    `geometry` selects true positions that all trials share, or a separate draw for each trial. InputError is raised for
+    an impossible scenario.
     """
     return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 
 
 def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
-    """Key of the random stream for the positions of a trial: one key for all trials, or a key for each trial."""
+    """Key of the random stream for true positions: one key for all trials (`shared`) or one per trial."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
@@ -84,7 +86,7 @@ def measure_trial(
 
 
 def error_free_recording(geometry: MeasurementGeometry) -> Recording:
-    """Recording of a tracker without errors and noise, with exact certificates, and with the declared set-up."""
+    """Recording with the declared set-up, but of a tracker without errors and noise, and with exact certificates."""
     s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare_recording = Recording(
@@ -107,9 +109,9 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
 
 
 def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Recording) -> TrialDistributions:
-    """Distributions of the random values of trials at given true positions.
+    """Distributions of the random values of trials at the true positions of `geometry`.
 
-    `error_free_recording` is the recording at these positions without errors.
+    `error_free_recording` is the recording without errors at these positions.
     """
     scenario = geometry.scenario
     mean, sigma = instrument_error_distribution(scenario, geometry.construction)
@@ -147,7 +149,7 @@ def simulate_readings(
 
 
 def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...]) -> Floats:
-    """Raw readings without noise, shape (pointings, 3), of trackers with errors; each effect changes the readings.
+    """Raw readings without noise, shape (pointings, 3) [m, rad, rad], of trackers with errors and with the effects.
 
     `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect.
@@ -164,7 +166,7 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_val
 
 
 def occurring_blunders(effects: Sequence[Effect], effect_values: Sequence[Floats]) -> list[Blunder]:
-    """Blunders among `effects` that occur in a trial: their first parameter in `effect_values` is not 0."""
+    """Blunders among `effects` that occur in a trial, that is, whose first parameter in `effect_values` is not 0."""
     return [e for e, made in zip(effects, effect_values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
@@ -174,6 +176,7 @@ def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
 
 
 def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
+    """Sentence on each effect that changes neither a reading nor a reference length."""
     for effect in geometry.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(geometry.sightings)):
             continue
@@ -183,6 +186,7 @@ def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths
 
 
 def _declared_setup(geometry: MeasurementGeometry) -> Setup:
+    """Set-up file of the recording: what the simulated user declares about instruments, stations and targets."""
     scenario, step = geometry.scenario, geometry.scenario.placing
     stations = {
         name: Station(
@@ -207,6 +211,7 @@ def _declared_setup(geometry: MeasurementGeometry) -> Setup:
 
 
 def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
+    """Declared noise, prior and limits of a tracker."""
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
@@ -217,17 +222,20 @@ def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
 
 
 def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
+    """Prior that the recording declares: the tracker's prior with standard deviations times `prior_factor`."""
     kinds = tracker.prior.model_dump()
     sigma_by_parameter = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=sigma_by_parameter)
 
 
 def _rounded_position(position: Vector, rounding_step: float) -> Vector:
+    """Position with coordinates rounded to multiples of `rounding_step`, in the unit of the position."""
     x, y, z = (rounding_step * round(value / rounding_step) for value in position)
     return x, y, z
 
 
 def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
+    """Declared nest normal, aiming and SMR of each target, by name of the target."""
     scenario, s = geometry.scenario, geometry.sightings
     table = {}
     for i, name in enumerate(s.target_names):
@@ -243,6 +251,7 @@ def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
 def _truth_of_trial(
     geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], seed: int, trial: int
 ) -> Truth:
+    """True values of a trial as the content of the truth file."""
     s, scenario = geometry.sightings, geometry.scenario
     trackers = scenario.trackers_in_use
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
@@ -270,10 +279,7 @@ def _truth_of_trial(
 
 
 def with_exact_reference_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
-    """Recording with reference lengths that equal the true distances between the reflectors, and their declarations.
-
-    The certificates have no error.
-    """
+    """Recording with declared reference lengths that equal the true distances between the reflectors."""
     scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
     if gauge is None and not scenario.lengths:
@@ -300,9 +306,9 @@ def with_exact_reference_lengths(recording: Recording, geometry: MeasurementGeom
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """Declarations of the reference lengths of gauge and scale bars, and the declared standard deviation [um] of each.
+    """Declaration of each reference length (gauge and scale bars), and its declared standard deviation [um] or None.
 
-    A standard deviation is None if none is declared. The lengths are placeholders of 1 mm.
+    The lengths are placeholders of 1 mm.
     """
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:
@@ -317,9 +323,9 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
 def with_certified_reference_lengths(
     recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
 ) -> Recording:
-    """Recording whose reference lengths at calibration are replaced by `reference_lengths` (lengths,) [m].
+    """Recording with new declared reference lengths at the calibration temperature, `reference_lengths` (lengths,) [m].
 
-    `sigma` [m] replaces their standard deviations, if given.
+    `sigma` (lengths,) [m], if given, replaces the standard deviations of the lengths.
     """
     if recording.setup.gauge is None:
         return recording

@@ -16,7 +16,7 @@ from ltsim.simulation.simulator import GeometrySharing, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
-"""Scenario, path of its file, or name of a built-in scenario."""
+"""Argument that names a scenario: a `Scenario`, the path of its file, or the name of a built-in scenario."""
 
 
 class SimulatedRecording(NamedTuple):
