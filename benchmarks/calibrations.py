@@ -105,7 +105,7 @@ def peers(trials: int) -> None:
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
     known = [
         lambda r=r: adjust_from_state(
-            r, engine.construction, start_state=engine.batch_network.state_with_nominal_parameters
+            r, engine.construction, start_state=engine.batch_network.state_with_zero_parameters
         )
         for r in recordings
     ]

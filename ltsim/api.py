@@ -1,4 +1,4 @@
-"""Reading and writing of recordings and results in files."""
+"""Public functions that read recordings and results from files, and write and convert them."""
 
 from __future__ import annotations
 

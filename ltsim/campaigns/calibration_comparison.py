@@ -1,4 +1,4 @@
-"""Comparison of calibrations of one recording by errors at new points, which none of the calibrations used."""
+"""Comparison of several calibrations of one recording by their errors at new points, which no calibration used."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,9 +22,8 @@ from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 MAX_EQUAL_READING_DIFFERENCE = 1e-6
-"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
-noise of two recordings a larger one.
-"""
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives smaller differences; the
+noise of two different recordings gives larger ones."""
 HELD_OUT_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",
@@ -43,7 +42,7 @@ HELD_OUT_POINT_ERRORS_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class HeldOutPointErrors(Result):
-    """Errors at new points after each of several calibrations of one recording."""
+    """Errors at new points after correction of the readings by each of several calibrations of one recording."""
 
     errors_by_calibration: Mapping[str, CalibrationErrors]
     """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""
@@ -66,9 +65,9 @@ class HeldOutPointErrors(Result):
 
 
 def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
-    """True if two arrays of readings [m, rad] can come from the same recording.
+    """True if two arrays of readings [m, rad] may come from the same recording.
 
-    They may differ by rounding in files, and by readings that were excluded.
+    They may differ by rounding in files, and by readings that an adjustment excluded.
     """
     return readings.shape != other_readings.shape or not np.any(
         np.abs(readings - other_readings) > MAX_EQUAL_READING_DIFFERENCE
@@ -113,9 +112,9 @@ def compare_calibrations(
     --------
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
-    >>> judged = lt.compare_calibrations("paper-workshop", found, "paper-laboratory", seed=7)
-    >>> judged.to_dataframe()["calibration"].to_list()
+    >>> calibrations = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
+    >>> comparison = lt.compare_calibrations("paper-workshop", calibrations, "paper-laboratory", seed=7)
+    >>> comparison.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
     check_argument_bounds(seed=seed, trial=trial, required_argument="seed trial")

@@ -1,9 +1,9 @@
-"""Execution of a campaign: workers compute shards, one process writes them, and any interruption can be resumed.
+"""Execution of a campaign: workers compute shards, one process writes them, and an interrupted run can be continued.
 
-A shard is a file with the rows of some trials of one cell, that is, of one combination of factor levels. The rows are
-identical byte by byte for any number of workers, any interruptions and either backend, if processor type and package
-versions are the same. Compiler and matrix library choose their instructions by the processor, which changes the last
-bit of a sum. The manifest names processor type and package versions.
+A shard is a file with the rows of some trials of one cell, that is, of one combination of factor levels. The rows do
+not depend, byte by byte, on the number of workers, on interruptions and on the backend. They may depend in the last
+digit on the processor type and the package versions, because compiler and matrix library choose their instructions by
+the processor. The manifest contains processor type and package versions.
 """
 
 import os
@@ -47,9 +47,10 @@ from ltsim.recordings.settings import to_toml
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose versions can change the last digits of the rows; a campaign continues only with the same versions."""
+"""Packages whose versions may change the last digits of the rows; a campaign is continued only with equal versions."""
 EXTENDABLE_CAMPAIGN_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the campaign file that may be extended (more trials, levels, statistics) without changing existing rows."""
+"""Keys of the campaign file that may change when a campaign is continued, because additional trials, levels or
+statistics leave existing rows unchanged."""
 ProgressCallback = Callable[[int], None]
 """Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
 
@@ -59,7 +60,7 @@ class WorkerSettings:
     """Worker processes that compute the shards: processes on this machine, or workers of a Dask scheduler."""
 
     n_processes: int = 1
-    """Number of worker processes on this machine; with Dask the scheduler determines the number."""
+    """Number of worker processes on this machine; ignored with Dask, where the scheduler determines the number."""
     backend: str = "local"
     """Kind of workers: `local` or `dask`."""
     scheduler: str = ""
@@ -88,9 +89,9 @@ class CampaignRunResult:
     folder: Path
     """Folder of the campaign."""
     n_computed_shards: int
-    """Number of shards that this run computed and wrote."""
+    """Number of shards (files of rows) that this run computed and wrote."""
     n_existing_shards: int
-    """Number of shards that were complete before this run."""
+    """Number of shards (files of rows) that were complete before this run."""
     notes: tuple[str, ...]
     """Notes for the user, for example on damaged shards that were computed again, or on another commit of ltsim."""
 
@@ -106,7 +107,7 @@ def run_campaign(
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> CampaignRunResult:
-    """Run, continuation or extension of a campaign in `folder`, as `ltsim.campaign` but with a choice of workers.
+    """Run, continuation or extension of a campaign in `folder`, as by `ltsim.campaign` but with a choice of workers.
 
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
     `progress` is called with the number of rows (trials times methods) that were finished since the last call.
@@ -181,7 +182,7 @@ def _input_files(
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
-    """Notes on declared effects that change no reading; InputError for an error that would stop every trial."""
+    """Notes on declared effects that change no reading; raises InputError if every trial would fail."""
     unused_settings = []
     for method in campaign.methods:
         estimated_error_model(method)
@@ -199,7 +200,7 @@ def _configuration_notes(
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Campaign in a folder with the additions of the campaign file: its content, and its cells.
+    """Content and cells of a campaign in a folder, after the additions of the campaign file.
 
     Existing cells keep their numbers. InputError is raised if the file would change existing rows.
     """
@@ -271,15 +272,15 @@ def _package_versions() -> dict[str, str]:
 
 
 def processor_type() -> str:
-    """Type of the processor of this machine; together with package versions it determines the bytes of rows."""
+    """Type of the processor of this machine; equal types and package versions give identical bytes of rows."""
     return str(llvmlite.binding.get_host_cpu_name())
 
 
 def checkout_commit() -> str | None:
     """Git commit of the ltsim checkout from which the package runs; None for an installed package.
 
-    A package inside the checkout of another project is recognised: git does not track the package there, or the root of
-    the checkout is not the folder of the package.
+    An installed package may lie inside the checkout of another project. In this case git does not track the package
+    there, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
     git_arguments = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
@@ -345,7 +346,7 @@ def _pending_tasks_and_notes(
 
 
 def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the 95 % confidence interval of the mean of a statistic, by cell and method.
+    """Half-width of the 95 % confidence interval of the mean of `statistic`, by cell and method.
 
     Only the first `n_shards` shards of each cell (combination of factor levels) are used.
     """

@@ -1,4 +1,4 @@
-"""Experimental design of a campaign: factors, design points in ranges of keys, and names of factors in the rows."""
+"""Experimental design of a campaign: factors, points in ranges of several keys, and names of factors in the rows."""
 
 import json
 from collections import Counter
@@ -23,15 +23,17 @@ RESERVED_COLUMN_NAMES = frozenset(
 )  # fmt: skip
 """Names of the columns that every campaign has; a factor must have another name."""
 N_DESIGN_POINT_DIGITS = 4
-"""Number of significant digits of a value at a design point. With four digits the points remain distinct and the values
-are easy to read.
-"""
+"""Number of significant digits to which values at design points are rounded, for readability; the points remain
+distinct."""
 MAX_DESIGN_KEYS = 64
-"""Largest number of keys that a design varies, each over one range of values."""
+"""Largest number of scenario keys that a design varies, each over a range of values."""
 
 
 class KeyRange(TomlSection):
-    """Range of one key of the scenario in a design, in the unit of the key; integers if the key takes integers."""
+    """Range over which a design varies one key of the scenario, in the unit of the key.
+
+    The values are integers if the key takes integers.
+    """
 
     low: Finite
     """Smallest value of the key."""
@@ -47,9 +49,9 @@ class KeyRange(TomlSection):
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
-        """Values at `fractions` (points,) of the range, 0 for its lowest value and 1 for its highest.
+        """Values at the fractions `fractions` (points,) of the range; 0 is its lowest value, 1 its highest.
 
-        All integers of the range are equally likely.
+        All integers of the range are equally likely if `is_integer` is true.
         """
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
@@ -74,9 +76,9 @@ class SpaceFillingDesign(TomlSection):
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
-        """Value of each key at each design point, drawn with the campaign's seed.
+        """Value of each key at each design point, drawn with the seed of the campaign.
 
-        `keys` maps the name of each range to a dotted key of the scenario; values are integers if this key takes
+        `keys` maps the name of each range to a dotted key of the scenario. Values are integers if this key takes
         integers.
         """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
@@ -92,7 +94,10 @@ class SpaceFillingDesign(TomlSection):
 
 
 class Factor(Entry):
-    """Factor of a campaign: a key of the scenario, or several keys, whose value differs between cells."""
+    """Factor of a campaign: one key of the scenario, or several linked keys, whose value differs between cells.
+
+    A cell is a combination of factor levels.
+    """
 
     name: str
     """Name of the factor, and of its column in rows and summary."""
@@ -104,7 +109,7 @@ class Factor(Entry):
     """Type of the levels; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Level of the factor in a cell, from the TOML tables of the cell's scenario.
+        """Level of the factor in a cell (combination of factor levels), from the TOML tables of the cell's scenario.
 
         A table is returned as JSON text, a missing key as None.
         """
@@ -137,5 +142,5 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
-    """Description of a cell in one line: the level of each factor."""
+    """Description of a cell (combination of factor levels) in one line: the level of each factor."""
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

@@ -36,7 +36,7 @@ OUTPUT_PLACEHOLDER = "{out}"
 
 
 class ParameterEstimate(NamedTuple):
-    """Estimate of a parameter by an external calibrator, in a unit that `ltsim effects` lists."""
+    """Estimate of one parameter by an external calibrator, in a unit that `ltsim effects` lists."""
 
     value: Finite
     """Estimated value."""
@@ -73,8 +73,9 @@ def run_external_calibrator(
 ) -> dict[str, ParameterEstimate]:
     """Estimates of an external calibrator from a recording, by name of the parameter.
 
-    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result (exit
-    status other than 0, None, no file, a value that is not finite), InputError for one that cannot be started.
+    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result, for
+    example exit status 1, None, no file or an infinite value. InputError is raised for a program that cannot be
+    started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)

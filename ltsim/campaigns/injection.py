@@ -1,4 +1,4 @@
-"""Detectability of an effect in a given recording: the effect is injected, and the changed recording is diagnosed."""
+"""Detectability of an effect in a recording: the effect is injected, and the changed recording is diagnosed."""
 
 from __future__ import annotations
 
@@ -28,17 +28,16 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.injector import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 LAW_AMPLITUDE_NAME = "size"
-"""Name of the amplitude in the specification of a law, ``RESPONSE ~ REGRESSOR:size=VALUE``: the rms change of the
-observable on which the law acts, in um or urad.
-"""
+"""Name of the amplitude of a law (effect described by a formula), as in ``RESPONSE ~ REGRESSOR:size=VALUE``. The
+amplitude is the rms change of the response, in um or urad."""
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 """Default noncentralities of the injections for a detection curve."""
 MAX_EFFECT_DRAWS = 25
-"""Largest number of draws of the values of an effect that the user does not specify, until the effect changes the
-residuals. If it still does not, an error is raised."""
+"""Largest number of attempts to draw the unspecified values of an effect. If no attempt changes the residuals, an error
+is raised."""
 MIN_LOCATION_OVERLAP = 0.5
-"""Smallest overlap of a reported and the injected group of stations or targets at which the reported group counts as
-the injected one: number of members in both groups divided by number in at least one (Jaccard index)."""
+"""Smallest overlap at which a reported group of stations or targets counts as the group of the injected effect. The
+overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
 
 
 def inject(
@@ -158,7 +157,7 @@ def injection_curve(
 
 
 def _name_of_effect(cause: str | CandidateEffect | SizedEffect) -> str:
-    """Name of an effect from its catalogue object; a text is returned unchanged."""
+    """Name of an effect object; a text is returned unchanged."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
@@ -167,8 +166,8 @@ def compare_with_injection(
 ) -> dict[str, bool]:
     """Success of a diagnosis for an injected effect, as flags `detected`, `placed` (located), `named` and `right`.
 
-    Findings that `background_diagnosis`, the diagnosis of the recording without injection, reports too do not count.
-    `right` is True if the first new finding has the name and the stations and targets of the effect.
+    A finding does not count if `background_diagnosis`, the diagnosis of the recording without injection, also reports
+    it. The flag `right` is true if the first new finding has the name and the stations and targets of the effect.
     """
     background_keys = {_finding_key(f) for f in background_diagnosis.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
@@ -191,7 +190,7 @@ def _finding_key(finding: Any) -> tuple[Any, ...]:
 
 
 def _has_same_location(cause: CandidateEffect, finding: Any) -> bool:
-    """True if a finding has the stations and targets of the injected effect, and acts on one of its observables."""
+    """True if a finding has the stations and targets of the injected effect `cause`, and one of its observables."""
     scope = finding.where
     place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_LOCATION_OVERLAP * len(a | b) for a, b in place_pairs)
@@ -204,7 +203,7 @@ def _detection_curve_row(
 ) -> dict[str, float]:
     """Row of a detection curve at one noncentrality: counts, and confidence intervals of the fractions.
 
-    `comparisons` are the results of `compare_with_injection` for the `injected_effects`.
+    `comparisons` are the results of `compare_with_injection` for each effect in `injected_effects`.
     """
     row: dict[str, float] = {"noncentrality": noncentrality, "injections": len(comparisons)}
     row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in injected_effects]))
@@ -266,7 +265,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(effect_specification: str) -> tuple[str, dict[str, float]]:
-    """Specification of an effect without the parameter values in it, and the parameter values by parameter name."""
+    """Text of an effect's specification without the parameter values in it, and these values by parameter name."""
     name, _, rest = effect_specification.partition(":")
     names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}

@@ -1,9 +1,9 @@
 """Checks of estimates and their declared standard deviations against true values, over many trials.
 
 Mean, standard deviation and coverage of the z-scores (error divided by declared standard deviation) have two-sided
-limits. The margins that ltsim specifies (0.1 for the mean, 5 % for the standard deviation, 1.5 % for the coverage) are
-widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in one run of
-a hundred.
+limits. The limits are the margins that ltsim specifies (0.1 for the mean, 5 % for the standard deviation, 1.5 % for the
+coverage), widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in
+one run of a hundred.
 """
 
 import math
@@ -25,35 +25,37 @@ NOMINAL_COVERAGE = 0.95
 MIN_RECOVERY_TRIALS = 2
 """Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
-"""Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
+"""Permitted deviation of the mean z-score (error / sigma) from 0, in addition to its sampling error."""
 STANDARD_DEVIATION_Z_MARGIN = 0.05
-"""Permitted deviation of the standard deviation of z-scores from 1, in addition to its sampling error."""
+"""Permitted deviation of the standard deviation of z-scores (error / sigma) from 1, in addition to its sampling error.
+"""
 COVERAGE_MARGIN = 0.015
-"""Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
+"""Permitted deviation of the coverage of 95 % intervals from 0.95, in addition to its sampling error."""
 TOTAL_CHI2_MARGIN = 0.02
-"""Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
+"""Permitted relative deviation of the sum of chi-square over all trials from its expectation, in addition to its
+sampling error."""
 MEAN_SQUARE_Z_MARGIN = 0.05
 """Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
 MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT = float(np.sqrt(2.0))
-"""Upper bound for the ratio of standard deviation to mean of the mean squared z-score of a trial. The bound is reached
-if all z-scores of the trial are equal."""
+"""Largest possible ratio of the standard deviation to the mean of a trial's mean squared z-score. It occurs if all
+z-scores of the trial are equal."""
 
 
 class RecoveryCheck(Entry):
-    """Check that a number lies between two bounds."""
+    """Check that a number lies between two limits."""
 
     subject: str
     """Subject of the check: a parameter, chi-square, targets or stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
     value: OptionalFloat
-    """Value of the number."""
+    """Value of the checked number."""
     lower_limit: Finite
-    """Lower bound of the number."""
+    """Smallest value that passes the check."""
     upper_limit: Finite
-    """Upper bound of the number."""
+    """Largest value that passes the check."""
     passed: bool
-    """True if the number lies between the bounds."""
+    """True if the number lies between the limits."""
 
     @classmethod
     def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
@@ -193,10 +195,10 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
 
 
 def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of z-scores (trials,) of an external calibrator for a true parameter that is the same in all trials.
+    """Checks of z-scores (trials,) of an external calibrator, for a true parameter that is the same in all trials.
 
-    The prior of the calibrator is unknown. A prior can make declared standard deviations larger than the scatter of the
-    estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have one limit each, and their
+    The prior of the calibrator is unknown. A prior may make declared standard deviations larger than the scatter of the
+    estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have only one limit each, the
     mean has two. `alpha` is the false-alarm rate of each check.
     """
     mean, spread, coverage = parameter_checks(name, z_scores, alpha)
@@ -206,7 +208,7 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
 def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
     """Check of the sum of chi-square over all trials, divided by its expectation.
 
-    `chi2` (trials,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (trials,) its expectation and
+    `chi2` (trials,) is the chi-square of each trial; `expected_chi2` and `chi2_sigma` (trials,) are its expectation and
     standard deviation. `alpha` is the false-alarm rate of the check. The limits come from a scaled chi-square
     distribution with the same mean and variance (Satterthwaite).
     """
@@ -218,7 +220,7 @@ def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 
 
 def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
-    """Check that the mean over the trials of a value with expectation one, `trial_values` (trials,), is one.
+    """Check that `trial_values` (trials,), whose expectation is one, have a mean near one.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
     values that are all too large widen them. `alpha` is the false-alarm rate.

@@ -11,6 +11,7 @@ from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
+"""Integer of 0 or more."""
 MAX_SHARDS = 500_000
 """Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
 QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -21,14 +22,14 @@ SUMMARY_FILE = "summary.csv"
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
 PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
-"""Text in place of the unit for columns whose numbers are in the unit of the parameter in the name of the column."""
+"""Text in place of a unit, for columns with one name per parameter whose numbers are in the unit of the parameter."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
-"""Status of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
+"""Possible statuses of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
 ErrorOrigin = Literal["drawn", "stated"]
 """Origin of the instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
 scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-"""Group of results in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
+"""Group of result columns in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
 MEASURED_POINT_ERROR_MEANING = (
     "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
     "after a rigid fit of each station's points to the true points; noise of these readings included"
@@ -44,12 +45,13 @@ REMOVED_ERROR_FRACTION_MEANING = (
     "calibration with the true parameters, 0 for no correction, below 0 for a correction that increases the error; its "
     "interval is that of a ratio of means"
 )
-"""Meaning of the fraction of the error that a calibration removes; ``{0}`` is the prefix of the column names."""
+"""Meaning of the fraction of the error that a calibration removes, for tables; ``{0}`` is the prefix of column names.
+"""
 
 
 @dataclass(frozen=True)
 class RowColumn(Column):
-    """Column of results in the rows of a campaign; a name that ends in `:` stands for one column per parameter."""
+    """Result column in the rows of a campaign; a name that ends in `:` is the prefix of a column per parameter."""
 
     group: StatisticGroup | None = None
     """Group of results to which the column belongs; None for a column that all rows have."""
@@ -61,10 +63,12 @@ def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) ->
 
 
 def _parameter_column(name: str, unit: str, group: StatisticGroup, description: str) -> RowColumn:
+    """Column with one value per parameter; `name` is the prefix of the column names."""
     return RowColumn(f"{name}:", description, unit=unit, group=group)
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
+    """Columns of a criterion of the disagreement of stations: mean and maximum, before and after calibration."""
     meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
@@ -75,6 +79,7 @@ def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
+    """Columns of an error: readings uncorrected, corrected by estimates, and corrected by true parameters."""
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",
@@ -110,18 +115,19 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
 )
 """Columns of all results that rows and statistics can contain, for files, documentation and reports."""
 RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
-"""Names of the statistics that are ratios over all trials, so that a single row has no such value."""
+"""Names of the statistics that are ratios of two means over all trials, and therefore have no value for a single trial.
+"""
 
 
 def find_result_column(name: str) -> RowColumn | None:
-    """Definition of a column of results or of a statistic, by its name; None for the column of a factor."""
+    """Definition of the result column or statistic with the name `name`; None for the column of a factor."""
     return next(
         (c for c in RESULT_COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None
     )
 
 
 def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
-    """Names of the columns from which a ratio is computed: errors raw, calibrated, and with the true parameters."""
+    """Names of the columns from which a ratio is computed: error uncorrected, calibrated, and with true parameters."""
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
@@ -145,8 +151,8 @@ def sql_identifier(name: str) -> str:
 def statistic_sql_expressions(statistic: str) -> tuple[str, ...]:
     """SQL expressions whose means over the trials give a statistic.
 
-    A column needs one expression. A ratio over all trials is the ratio of the means of two expressions: the squared
-    error that the calibration removes, and the squared error that the true parameters remove.
+    A column needs one expression. A ratio statistic is the ratio of the means of two expressions: the squared error
+    that the calibration removes, and the squared error that the true parameters remove.
     """
     if statistic not in RATIO_STATISTICS:
         return (sql_identifier(statistic),)
@@ -197,7 +203,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
 
 class TrackerSettings(Entry):
-    """Tracker of a scenario, with all keys of its table."""
+    """Tracker of a scenario in the manifest, with all keys of its table."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -221,7 +227,7 @@ FactorLevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 
 
 class CellEntry(Entry):
-    """Cell of a campaign, that is, a combination of factor levels, in manifest.json."""
+    """Entry of a cell (combination of factor levels) in the manifest of a campaign."""
 
     cell: NonNegativeInt
     """Index of the cell in the campaign, from 0."""
@@ -232,7 +238,8 @@ class CellEntry(Entry):
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in this cell, by dotted key."""
     digest: str = ""
-    """Digest of everything that determines the rows of the cell; the metadata of its shards contain the digest too."""
+    """Digest of everything that determines the rows of the cell. The metadata of the cell's files of rows (shards)
+    contain it too."""
 
 
 FACTORS_TABLE = Table(
@@ -277,7 +284,10 @@ METHOD_DIFFERENCES_TABLE = Table(
 
 
 class ManifestFile(ResultFile):
-    """Content of `manifest.json`: definition of a campaign, written before its first row and when it is extended."""
+    """Content of `manifest.json`, the definition of a campaign.
+
+    The file is written before the first row, and again if the campaign is extended.
+    """
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
@@ -287,7 +297,7 @@ class ManifestFile(ResultFile):
     seed: NonNegativeInt = 0
     """Seed of the random draws."""
     trials: NonNegativeInt
-    """Largest number of trials of each cell."""
+    """Largest number of trials of each cell (combination of factor levels)."""
     trials_per_shard: Annotated[int, Field(ge=1)] | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)

@@ -1,4 +1,4 @@
-"""Rows of a shard: trials are drawn, calibrated by every method, and compared with the true values."""
+"""Rows of a shard (file of rows): trials are drawn, calibrated by every method, and compared with the true values."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -45,28 +45,30 @@ from ltsim.simulation.simulator import placing_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
 STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
-"""Groups of statistics for which the readings are corrected by the calibration."""
+"""Groups of result columns that are computed from readings corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
 """Largest number of trials that are calibrated together if each trial has a separate network geometry."""
 MAX_BATCH_ARRAY_VALUES = 5_000_000
-"""Largest number of values (8 bytes each) in the arrays of a batch of trials; more trials are divided into batches."""
+"""Largest number of values (8 bytes each) in the arrays of a batch of trials. Larger batches are divided."""
 BATCH_VALUES_PER_POINTING = 30
-"""Number of values by pointing and trial in memory at the same time: readings, and measured or predicted points."""
+"""Number of values in memory per pointing and trial of a batch, for readings and for measured or predicted points."""
 BATCH_VALUES_PER_SIGHT = 12
-"""Number of values by station, target and trial in memory at the same time: points before and after a correction."""
+"""Number of values in memory per station, target and trial of a batch, for points before and after a correction."""
 GEOMETRY_VALUES_PER_POINTING = 300
-"""Number of values by pointing in memory for each separate network geometry: derivatives by 16 parameters and the chain
-of the construction.
-"""
+"""Number of values in memory per pointing of each separate network geometry, for the derivatives by 16 parameters and
+the kinematic chain."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker: computation of one shard, a file with rows of trials of one combination of factor levels."""
+    """Task of a worker process: computation of one shard, a file with rows of trials of one cell.
+
+    A cell is a combination of factor levels.
+    """
 
     campaign: CampaignFile
     scenario: Scenario
-    """Scenario of the cell."""
+    """Scenario of the cell (combination of factor levels)."""
     cell_digest: str
     """Digest of everything that determines the rows of the cell (combination of factor levels)."""
     cell: int
@@ -94,15 +96,17 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class CellContext:
-    """Quantities that all trials of a cell (combination of factor levels) share."""
+    """Quantities that all trials of a cell (combination of factor levels) have in common."""
 
     campaign: CampaignFile
     scenario: Scenario
+    """Scenario of the cell (combination of factor levels)."""
     validation_scenario: Scenario | None = None
+    """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
 
     @cached_property
     def shared_geometry_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
-        """Evaluator for the network geometry that all trials share, and calibrators in the order of the methods."""
+        """Evaluator and calibrators (one per method) for the network geometry that all trials share."""
         network = make_true_network(self.scenario, self.campaign.seed)
         return TrialEvaluator(network), [make_calibrator(method, network) for method in self.campaign.methods]
 
@@ -125,7 +129,7 @@ class CellContext:
 
     @cached_property
     def levels(self) -> dict[str, Any]:
-        """Levels of the factors in this cell, by name of the factor."""
+        """Levels of the factors in this cell (combination of factor levels), by name of the factor."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
         return {factor.name: factor.level(tables) for factor in self.factors}
 
@@ -140,6 +144,7 @@ class CellContext:
 
     @cached_property
     def _planned_layout(self) -> WorkshopLayout:
+        """Planned poses of the stations and positions of the targets."""
         return planned_layout(self.scenario)
 
     def trial_batches(
@@ -147,8 +152,8 @@ class CellContext:
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
         """Evaluator, calibrators of all methods, and drawn trials for each batch of trials.
 
-        The batches contain the trials from ``first_trial`` to ``end_trial - 1``, except those with an impossible
-        network geometry, such as a station without visible targets.
+        The batches contain the trials from ``first_trial`` to ``end_trial - 1``. A trial with an impossible network
+        geometry, such as a station without visible targets, is left out.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
@@ -169,7 +174,8 @@ class CellContext:
     def _max_batch_trials(self, default_number: int, geometry_values_per_pointing: int) -> int:
         """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_ARRAY_VALUES`.
 
-        It does not depend on the trials that are requested, because sums may depend on the number of trials in a batch.
+        The number does not depend on the trials that are requested, because sums may depend on the number of trials in
+        a batch.
         """
         evaluators = (self.shared_geometry_evaluator_and_calibrators[0], self.validation_evaluator)
         values = 0
@@ -184,9 +190,9 @@ class CellContext:
         return size
 
     def _trial_geometries(self, trials: range) -> dict[int, TrueNetwork]:
-        """True network geometry of each trial with a possible geometry, by number of the trial.
+        """True network geometry of each trial by its number, without trials whose geometry is impossible.
 
-        Each has the set-up of the network geometry that all trials of the cell share otherwise.
+        All geometries have the set-up of the geometry that trials of the cell share otherwise.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
@@ -203,7 +209,7 @@ class CellContext:
 
 @lru_cache(maxsize=1)
 def load_cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Quantities that all trials of a cell share, from campaign file, scenario and validation scenario as JSON texts.
+    """Common quantities of the trials of a cell, from campaign file, scenario and validation scenario as JSON texts.
 
     The last result is cached, because a worker process computes many shards of the same cell one after the other.
     """
@@ -214,7 +220,7 @@ def load_cell_context(campaign: str, scenario: str, validation_scenario: str) ->
 
 
 def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """Task, and the bytes of the shard's file that it computes.
+    """Task without its existing rows, and the bytes of the computed file of rows (shard).
 
     The shard is computed with one thread, so that sums have the same order in every worker process.
     """
@@ -225,7 +231,7 @@ def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
 
 
 def make_shard_rows(task: ShardTask) -> pa.Table:
-    """Rows of a shard, ordered by method, then by trial; existing rows are reused, missing rows are computed."""
+    """Rows of a shard, ordered by method and then by trial; existing rows are reused, missing rows are computed."""
     if task.existing_rows is None:
         return _compute_new_rows(task, 0)
     campaign, held = task.campaign, task.existing_rows
@@ -285,7 +291,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
 
 @dataclass(frozen=True)
 class TrialBatchRows:
-    """Batch of drawn trials, and computation of the campaign rows of every method from it."""
+    """Batch of drawn trials, from which the campaign rows of every method are computed."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
@@ -293,9 +299,9 @@ class TrialBatchRows:
     validation_evaluator: TrialEvaluator | None
     """Evaluator for the held-out points; None if the campaign names none (key `validation_points`)."""
     requested_trial_indices: Ints
-    """Indices, in the batch, of the trials whose rows are requested."""
+    """Indices (requested trials,), in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
-    """Indices, in the batch, of the trials that the full solver repeats for verification."""
+    """Indices, in the batch, of the trials that the full solver calibrates again for verification."""
     contains_only_true_values: bool = False
     """True if the rows contain only the drawn true values, and no trial is calibrated."""
 
@@ -308,8 +314,8 @@ class TrialBatchRows:
     def validation_batch(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
         """Measurements of the held-out points: evaluator, drawn trials, and columns that all methods share.
 
-        The instruments are those of the trials. The noise is independent of the calibrated recordings, the effects have
-        the same sizes. None if the campaign names no held-out points (key `validation_points`).
+        The instruments of each trial measure the points. The noise is independent of the calibrated recordings; the
+        effects have the same sizes. None if the campaign names no held-out points (key `validation_points`).
         """
         if self.validation_evaluator is None:
             return None
@@ -320,7 +326,7 @@ class TrialBatchRows:
         return self.validation_evaluator, batch, self.validation_evaluator.method_independent_columns(batch)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Instrument errors at the measurement of the held-out points, after the random drift (key `validation_drift`).
+        """Instrument errors when the held-out points are measured, after the random drift (key `validation_drift`).
 
         The shape is (instruments, parameters, trials) [SI].
         """
@@ -333,7 +339,7 @@ class TrialBatchRows:
         return values + share * (population.instrument_error_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of the results of a method, as selected by the campaign's `statistics`."""
+        """Result columns of a method, in the groups that the key `statistics` of the campaign selects."""
         wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
         if self.contains_only_true_values:

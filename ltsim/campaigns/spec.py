@@ -38,18 +38,18 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_WRITTEN_SHARD_ROWS = 65_536
-"""Largest number of rows (trials times methods) in a shard that is written; a row with all statistics takes 2 kB
+"""Largest number of rows (trials times methods) in a written file of rows (shard). A row with all statistics takes 2 kB
 of memory."""
 VALIDATION_STREAM_KEY = "judge"
-"""Key of the random stream for the measurement of the held-out points of `validation_points`."""
+"""Key of the random stream for the measurement of held-out points (key `validation_points`)."""
 
 
 class CalibrationMethod(TomlSection):
     """Calibration method of a campaign.
 
-    With the solver ``batch`` all trials in one network geometry are calibrated together, hundreds of times as fast as
-    with ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its
-    trials that both solvers agree.
+    The solver ``batch`` calibrates all trials in one network geometry together. It is hundreds of times as fast as
+    ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its trials
+    that both solvers agree.
     """
 
     name: str = ""
@@ -61,17 +61,16 @@ class CalibrationMethod(TomlSection):
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Number of harmonics of each joint error in the model `dh`."""
+    """Number of harmonics in the error of each rotary axis of the model `dh`."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range, by which the model `dh` describes errors of the linear joint."""
+    """Degree of the polynomials in the range that describe the errors of the range axis of the model `dh`."""
     effects: Annotated[tuple[PlacedEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
     uses_applied_corrections: bool = False
-    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; permitted only for
-    the method `network` with the solver `single`.
-    """
+    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates. Permitted only for
+    the method `network` with the solver `single`."""
 
     @property
     def title(self) -> str:
@@ -92,13 +91,13 @@ class CalibrationMethod(TomlSection):
 class StoppingRule(TomlSection):
     """Adaptive stopping rule of each cell (combination of factor levels), evaluated after each round of trials.
 
-    A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
-    `max_half_width`. Each round adds 50 % more trials.
+    A cell stops when the confidence interval of the mean of `statistic` is narrow enough for every method: its
+    half-width is at most `max_half_width`. Each round adds 50 % more trials.
     """
 
     statistic: str = "target_error_um"
-    """Statistic whose mean must be precise: a column of the rows, or an improvement of the agreement of stations
-    [%]."""
+    """Statistic whose mean has to be precise: a column of the rows, or an improvement of the agreement of stations [%].
+    """
     max_half_width: Positive
     """Largest half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
@@ -106,12 +105,12 @@ class StoppingRule(TomlSection):
 class CampaignFile(TomlSection):
     """Content of a campaign file.
 
-    `scenario_changes` applies to all cells. `grid` holds lists of values that are combined with each other, `design`
-    spreads points over ranges, and `cells` lists combinations one by one. If a file has several of these three, every
-    combination of their entries is a cell. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"``
-    (entries of a list by number, as in ``"effects.1.values.x"``), or names in `linked_keys`. A value is a number in the
-    key's unit, or a text with its unit (``"2 urad"``). The scenario defines the true errors, `methods` defines the
-    estimated parameters.
+    `scenario_changes` applies to all cells (combinations of factor levels). `grid` holds lists of values that are
+    combined with each other, `design` distributes points over ranges, and `cells` lists single combinations. If a file
+    has several of these three, every combination of their entries is a cell. Keys are dotted keys of the scenario, as
+    in ``"instrument.noise_factor"`` (entries of a list by number, as in ``"effects.1.values.x"``), or names in
+    `linked_keys`. A value is a number in the key's unit, or a text with its unit (``"2 urad"``). The scenario defines
+    the true errors, `methods` defines the estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
@@ -134,28 +133,27 @@ class CampaignFile(TomlSection):
     statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
     """Groups of results that each row contains."""
     validation_points: str = ""
-    """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario
-    (built-in, or a file in the folder of this one), or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`)
-    measured from the stations of the cell.
-    """
+    """Held-out points, which the instruments of each trial measure but no calibration uses. Name of a scenario
+    (built-in, or a file in the folder of this one), or of a table of points (`target,x_mm,y_mm,z_mm` in a file
+    `NAME.csv`) that are measured from the stations of the cell."""
     validation_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Standard deviation of the random drift of the instrument parameters (except the range scale) between calibration
-    and measurement of the held-out points, as a fraction of the prior standard deviations.
-    """
+    """Standard deviation of a random drift of the instrument parameters (except the range scale) between calibration
+    and measurement of the held-out points, as a fraction of the prior standard deviations."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in all cells, by dotted key."""
     linked_keys: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
         default_factory=dict, max_length=MAX_DESIGN_KEYS
     )
-    """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
+    """Groups of keys that always take the same value, by a name for the group, which is also the name of their column.
+    """
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Lists of levels by dotted key; all combinations of these levels are cells."""
     design: SpaceFillingDesign | None = None
     """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
-    """Combinations of factor levels that are listed one by one, tables `[[cells]]`."""
+    """Combinations of factor levels (cells) that are listed individually, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Rule that stops a cell before it has all its trials."""
+    """Rule that may stop a cell (combination of factor levels) before it has all its trials."""
     methods: tuple[CalibrationMethod, ...] = (CalibrationMethod(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
@@ -211,12 +209,12 @@ class CampaignFile(TomlSection):
 
     @property
     def n_shards_per_cell(self) -> int:
-        """Number of shards of each cell."""
+        """Number of files of rows (shards) of each cell."""
         return number_of_shards(self.trials, self.trials_per_shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys, and names in `linked_keys`, whose values differ between cells, in the order of the file."""
+        """Dotted keys, and names in `linked_keys`, whose values differ between cells, in file order."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
@@ -285,7 +283,7 @@ def load_campaign(
 
 
 def campaign_with_changes(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
-    """Campaign with new values of its keys, or of dotted keys of the scenario in all cells; errors name `path`."""
+    """Campaign with new values of its own keys, or of dotted keys of the scenario in all cells; errors name `path`."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
@@ -293,7 +291,9 @@ def campaign_with_changes(campaign: CampaignFile, key_changes: Mapping[str, Any]
         elif key in campaign.grid:
             tables["grid"][key] = [value]
         elif key in campaign.varied_keys:
-            raise InputError(f"{path}: {key} varies in its cells or design: change it there")
+            raise InputError(
+                f"{path}: {key} has different values in the cells or the design of the file: change it there"
+            )
         else:
             tables["scenario_changes"][key] = value
     with reraise_as_input_error():
@@ -312,7 +312,8 @@ class CampaignCell:
     levels: dict[str, Any]
     """Level of each factor, by the factor's name."""
     digest: str
-    """Digest of everything that determines the rows of the cell, except the number of rows and the stored columns."""
+    """Digest of everything that determines the rows of the cell, except the number of rows and the selected statistics.
+    """
 
     def manifest_entry(self, cell_index: int, factors: Sequence[Factor]) -> CellEntry:
         """Entry of the cell in `manifest.json`."""
@@ -370,7 +371,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
 
 
 def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
-    """Path of the file `name` relative to the folder of the campaign file `path`; None if there is no such file."""
+    """Path of the file `name` in the folder of the campaign file `path`; None if there is no such file."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -378,13 +379,13 @@ def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """Paths of the CAD files of the scenarios' halls, without duplicates."""
+    """Paths of the CAD files in the workshops of `scenarios`, without duplicates."""
     file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(file_names)]
 
 
 def _with_cad_digests(scenario: Scenario) -> Scenario:
-    """Scenario with the digests of its CAD files in place of their names."""
+    """Scenario in which digests of the contents of its CAD files replace their names."""
     hall = scenario.workshop
     digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
     obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]

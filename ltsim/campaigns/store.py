@@ -75,7 +75,7 @@ def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
 
 
 def read_shard(path: Path) -> pa.Table:
-    """Rows of a shard with verified checksums.
+    """Rows of a file of rows (shard), after a check of its checksums.
 
     Raises `pyarrow.ArrowException` or OSError, also for more rows than a shard can have.
     """
@@ -92,19 +92,22 @@ def _check_number_of_rows(path: Path, metadata: pq.FileMetaData) -> None:
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> InputError:
-    """InputError for a campaign that ended early, with the `reason`, a `remedy` to take first, and how to continue."""
+    """InputError for a campaign that ended early, which tells the user how to continue.
+
+    `reason` says why it ended; `remedy`, if given, is what to do first.
+    """
     action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
     return InputError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """Folder of a campaign, with its manifest, shards and digests."""
+    """Folder of a campaign, with its manifest, files of rows (shards) and digests."""
 
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Path of the shard number `shard` of the cell number `cell`, both from 0."""
+        """Path of the file of rows (shard) number `shard` of the cell number `cell`, both from 0."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:
@@ -113,7 +116,7 @@ class CampaignFolder:
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
-        """Rows of a finished shard; raises InputError for a damaged one."""
+        """Rows of a finished file of rows (shard); raises InputError for a damaged one."""
         path = self.shard_path(cell, shard)
         try:
             return read_shard(path)
@@ -122,10 +125,10 @@ class CampaignFolder:
             raise InputError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
-        """Check that shards are unchanged since they were written, and belong to the cell in whose folder they are.
+        """Check that files of rows (shards) are unchanged since they were written, and are in the folder of their cell.
 
-        `cell_digests` is the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is raised
-        for a damaged shard.
+        `cell_digests` holds the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is
+        raised for a damaged shard.
         """
         digests = self.recorded_shard_digests()
         for path in shards:
@@ -140,7 +143,7 @@ class CampaignFolder:
                 raise ValueError(f"{name} belongs to another campaign")
 
     def recorded_shard_digests(self) -> dict[str, str]:
-        """Recorded digest of each shard, by the path of the shard in the folder."""
+        """Recorded SHA-256 digest of each file of rows (shard), by its path in the folder."""
         try:
             text = read_whole_file(self.folder / DIGESTS_FILE).decode("ascii", "replace")
         except OSError:
@@ -168,25 +171,26 @@ class CampaignFolder:
             write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Atomic writing of a shard; raises InputError if the disk is full or not writable."""
+        """Atomic writing of a file of rows (shard); raises InputError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
             write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
-        """Recording of the digest of a complete shard, for a process that was killed before it recorded the digest."""
+        """Recording of the digest of a complete file of rows (shard), which a killed process did not record."""
         path = self.shard_path(cell, shard)
         with self._storage_errors():
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
 
     def _append_digest(self, name: str, digest: str) -> None:
+        """Appending of one line, digest and name of a file of rows, to the file of digests."""
         append_text(self.folder, DIGESTS_FILE, f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with the input files `sources` would overwrite.
 
-        `sources` holds contents by file name; a file with the same content is no conflict.
+        `sources` holds the contents of input files by name; an existing file with the same content is no conflict.
         """
         remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
@@ -208,8 +212,8 @@ class CampaignFolder:
     ) -> str:
         """Status of a shard: `complete`, `missing`, `damaged`, or `incomplete` (rows or columns are missing).
 
-        `required_metadata` and `n_rows` are metadata and number of rows of a complete shard, `digests` the recorded
-        digests by path.
+        `required_metadata` and `n_rows` are metadata and number of rows of a complete file of rows (shard), `digests`
+        the recorded digests by path.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -230,7 +234,7 @@ class CampaignFolder:
         return "incomplete" if is_incomplete else "complete"
 
     def quarantine_shard(self, cell: int, shard: int) -> Path:
-        """New path of a damaged shard, after it is renamed so that the user can inspect it."""
+        """Renaming of a damaged file of rows (shard), so that the user can inspect it; returns its new path."""
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
         path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())
@@ -239,7 +243,7 @@ class CampaignFolder:
         return damaged_path
 
     def remove_unfinished_files(self) -> None:
-        """Removal of what a killed run left unfinished: temporary files, and an incomplete line of digests."""
+        """Removal of the remains of a killed run: temporary files, and an incomplete line in the file of digests."""
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
@@ -250,7 +254,7 @@ class CampaignFolder:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
+        """Context in which no other process can write to the folder; the lock ends with this process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
             require_no_link(self.folder, LOCK_FILE)  # the library may empty the file
@@ -266,6 +270,7 @@ class CampaignFolder:
 
     @contextlib.contextmanager
     def _storage_errors(self) -> Iterator[None]:
+        """Context that converts errors of the file system to an InputError that says how to continue."""
         try:
             yield
         except OSError as problem:
@@ -276,15 +281,17 @@ class CampaignFolder:
 
 
 def stored_statistic_groups(table: pa.Table) -> list[str]:
-    """Names of the groups of results in the rows of a shard, from the metadata of its file."""
+    """Names of the groups of result columns in a file of rows (shard), from its metadata."""
     return _shard_metadata(table)["statistics"].split()
 
 
 def _shard_metadata(table: pa.Table) -> dict[str, str]:
+    """Metadata of a file of rows (shard), as text by key."""
     return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
 
 
 def _file_digest(path: Path) -> str:
+    """SHA-256 digest of a file, as hexadecimal text."""
     with open_for_reading(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

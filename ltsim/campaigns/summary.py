@@ -11,6 +11,7 @@ from ltsim.recordings.result_file import Entry
 
 
 def _null_if_not_finite(value: float) -> float | None:
+    """Number, or None in place of NaN and infinity."""
     return value if math.isfinite(value) else None
 
 
@@ -19,7 +20,7 @@ NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=
 
 
 class StatisticSummary(Entry):
-    """Statistics of one column over the trials of a cell (combination of factor levels) and method.
+    """Statistics of one column over the trials of one cell (combination of factor levels) and method.
 
     A ratio over all trials has only a mean and a confidence interval.
     """
@@ -35,9 +36,9 @@ class StatisticSummary(Entry):
     mean: NumberOrNaN
     """Mean over the trials, or ratio over all trials."""
     low: NumberOrNaN
-    """Lower 95 % confidence limit of the mean, valid also with adaptive stopping."""
+    """Lower 95 % confidence limit of the mean, which is valid also with adaptive stopping."""
     high: NumberOrNaN
-    """Upper 95 % confidence limit of the mean."""
+    """Upper 95 % confidence limit of the mean, which is valid also with adaptive stopping."""
     standard_deviation: NumberOrNaN = math.nan
     """Standard deviation over the trials."""
     minimum: NumberOrNaN = math.nan
@@ -53,7 +54,8 @@ class StatisticSummary(Entry):
 class ZScoreSummary(Entry):
     """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
 
-    The z-scores are standard normal if the true values are drawn from the prior and the covariance is correct.
+    A cell is a combination of factor levels. The z-scores are standard normal if the true values are drawn from the
+    prior and the covariance is correct.
     """
 
     cell: int
@@ -73,7 +75,10 @@ class ZScoreSummary(Entry):
 
 
 class SolverComparison(Entry):
-    """Comparison of the batch solver and the full solver in the trials of a cell and method."""
+    """Comparison of the batch solver with the full solver, in the trials of one cell and method.
+
+    A cell is a combination of factor levels.
+    """
 
     cell: int
     """Index of the cell in the campaign, from 0."""

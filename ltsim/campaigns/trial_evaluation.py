@@ -28,14 +28,13 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
 MAX_COLLINEAR_SPREAD_RATIO = 1e-3
-"""Largest ratio of the spread of targets perpendicular to a line to their spread along the line, at which they do not
-determine the rotation about the line. Such targets do not determine a frame.
-"""
+"""Largest ratio of the spread of targets perpendicular to a line to their spread along it, at which they count as
+collinear. Collinear targets determine no frame, because the rotation about the line is undetermined."""
 
 
 @dataclass(frozen=True)
 class TrialEvaluator:
-    """Evaluator of calibrations for trials in one true network geometry.
+    """Evaluator of calibrations of trials in one true network geometry.
 
     Quantities that do not depend on the method are computed once per batch of trials.
     """
@@ -64,11 +63,14 @@ class TrialEvaluator:
 
     @cached_property
     def is_frame_determined(self) -> Bools:
-        """Mask (stations,) of stations whose targets determine a frame; only these are compared with the truth."""
+        """Mask (stations,) of the stations whose targets determine a frame; others have no error of measured points."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
-        """Mask (target sets,) of the sets of targets, given as masks (target sets, targets), that determine a frame."""
+        """Mask (target sets,) of the sets of targets that determine a frame.
+
+        `is_used_target` (target sets, targets) contains a mask of the targets of each set.
+        """
         return determines_pose(
             self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_COLLINEAR_SPREAD_RATIO
         )
@@ -79,11 +81,11 @@ class TrialEvaluator:
         construction: GeometricErrorModel | None = None,
         parameter_values: Floats | None = None,
     ) -> Floats:
-        """Mean measured point of each station on each target in the nominal network frame.
+        """Mean measured point of each target from each station, in the nominal network frame.
 
         The shape is (stations, targets, 3, trials) [m]; the mean is over faces and repeats. `reading_deviations`
         (pointings, 3, trials) are readings minus nominal readings. The readings are corrected by the parameters
-        `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model.
+        `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model `construction`, if given.
         """
         recording, trials = self.true_network.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
@@ -133,8 +135,8 @@ class TrialEvaluator:
     def measured_point_error(self, clouds: Floats) -> Floats:
         """Rms distance (trials,) [um] between measured and true targets, after a rigid fit of each station's points.
 
-        `clouds` (stations, targets, 3, trials) [m] are the points of each station. Stations whose targets determine no
-        frame are omitted. The result is NaN if no station remains.
+        `clouds` (stations, targets, 3, trials) [m] are the points measured from each station. Stations whose targets
+        determine no frame are left out. The result is NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
@@ -165,7 +167,7 @@ class TrialEvaluator:
         return error
 
     def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
-        """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
+        """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
         raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
         perfect = self.mean_points_by_station(
             trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
@@ -182,7 +184,7 @@ class TrialEvaluator:
         construction: GeometricErrorModel,
         effects: Sequence[Effect] = (),
     ) -> ResultColumns:
-        """Columns of a method: criteria and errors after correction of the readings by its parameters and effects.
+        """Columns of a method: criteria and errors after correction of the readings by its estimates.
 
         As in `calibrate` and `evaluate`, the estimated range errors of reflectors by incidence angle are corrected too.
         Other nuisance errors with a prior remain in the readings. The correction by true parameters corrects no

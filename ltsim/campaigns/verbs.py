@@ -1,4 +1,4 @@
-"""Public function `campaign`: many trials for each combination of factor levels."""
+"""Public function `campaign`: many simulated trials for each combination of factor levels."""
 
 from __future__ import annotations
 

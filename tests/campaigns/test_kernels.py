@@ -13,7 +13,7 @@ import pytest
 from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.compilation import compile_function
 from ltsim.campaigns.kernels import compute_points
-from ltsim.campaigns.kinematic_chain import KinematicChainArrays
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork
 from ltsim.geometry.polar import wrap_angle
@@ -65,7 +65,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
 
 def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., TrueNetwork]) -> None:
     truth = make_truth()
-    program = KinematicChainArrays.from_construction(misalignment_construction(), truth.recording.readings)
+    program = ChainArrays.from_construction(misalignment_construction(), truth.recording.readings)
     assert len(program.is_rotation) == 8
     assert sorted(program.parameter_indices) == list(range(16))
 
