@@ -94,7 +94,6 @@ class Recovery(ResultFile):
     last_failure_reason: str = ""
     """Reason of the last failure of a trial."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
-    """Arrays of the trials; None for a result that was read from a file."""
 
     @classmethod
     def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:

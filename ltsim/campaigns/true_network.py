@@ -196,7 +196,7 @@ class TrueNetwork:
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
-        """For each effect, change of the readings as a linear function of its parameters; None for a nonlinear effect.
+        """Change of the readings by each effect as a linear function of its parameters; None for a nonlinear effect.
 
         The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
         """

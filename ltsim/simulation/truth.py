@@ -202,7 +202,6 @@ class Truth(ResultFile):
     nominal_points: tuple[TruePoint, ...] | None = None
     """Positions of the targets as measured by a coordinate measuring machine; null without such a machine."""
     _arrays: TruthArrays | None = PrivateAttr(None)
-    """True values as arrays; None until they are computed from the entries of the file."""
 
     @model_validator(mode="after")
     def _check_effects_and_nominal_points(self) -> Self:
