@@ -87,7 +87,9 @@ def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
             np.zeros_like(block.reading_deviations),
         )
         for _ in range(3):  # the predicted readings settle
-            network._gradient(at, block.reading_deviations, block.length_errors, predicted, gradient, cost)
+            network._write_gradient_and_cost(
+                at, block.reading_deviations, block.length_errors, predicted, gradient, cost
+            )
         return cost, gradient
 
     step = 1e-2

@@ -36,7 +36,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
     assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
-    columns = parameter_value_columns(labels, found.estimates[0], "estimate")
+    columns = parameter_value_columns(labels, found.estimates_and_sigmas[0], "estimate")
     tilt = truth.construction.parameter_index("beam-tilt")
     np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
 
