@@ -1,11 +1,12 @@
-"""Campaigns: many trials for each combination of factor levels, computed in batches, stored safely, queried by SQL."""
+"""Campaigns: many simulated trials for each combination of factor levels, in batches, with rows that SQL can query."""
 
 import os
 
 from ltsim.core.errors import require_extra
 
 REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need; they take a third of the disk space of a complete installation."""
+"""Packages that only campaigns need (extra `campaigns`); they take a third of the disk space of a complete
+installation."""
 
 
 def require_packages() -> None:

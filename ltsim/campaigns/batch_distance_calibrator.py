@@ -69,7 +69,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def distance_problem(self) -> DistanceProblem:
-        """Distance objective at the nominal network."""
+        """Distance objective with its observations and priors, at the nominal (error-free) network."""
         recording = self.true_network.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
@@ -249,7 +249,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
     def _objective_terms(self, trial_batch: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
         """Terms whose sum is the distance objective of each trial, shape (terms, trials).
 
-        `trial_indices` (trials,) are the indices of these trials in the batch, `parameter_values` (instruments,
+        `trial_indices` (trials,) are the indices of the trials in the batch, `parameter_values` (instruments,
         parameters, trials) [SI] their instrument parameters.
         """
         deviation, parameter_values = (

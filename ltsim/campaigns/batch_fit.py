@@ -22,7 +22,8 @@ class BatchFit:
     instrument_values: Floats
     """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: Floats
-    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]."""
+    """Estimated parameters of the effects in addition to the instrument parameters, (effect parameters, trials) [SI].
+    """
     incidence_parameters: Mapping[str, Floats]
     """Estimated parameters (14, trials) [SI] of the effect `smr-incidence` (range error by incidence angle), by name of
     the reflector."""

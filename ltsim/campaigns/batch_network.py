@@ -56,7 +56,7 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, 1) of readings by bench-tested reflectors; None without such reflectors."""
+        """Expected change (pointings, 3, 1) of readings by reflectors with a bench test; None without any."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):

@@ -94,7 +94,7 @@ class GeometryStack(TrueNetwork):
         )
 
     def stack_arrays(self, arrays: Iterable[Floats]) -> Floats:
-        """Array (pointings, ..., trials) from one array per trial, in the order of the first trial's pointings."""
+        """Array (pointings, ..., trials) from one array (pointings, ...) per trial, in the order of the first trial."""
         return np.ascontiguousarray(
             np.stack([a[r] for a, r in zip(arrays, self.recording_row_of_pointing.T, strict=True)], axis=-1)
         )
@@ -112,7 +112,7 @@ class GeometryStack(TrueNetwork):
 
     @cached_property
     def local_points(self) -> Floats:
-        """Targets in the instruments' frames, (pointings, 3, trials) [m]."""
+        """Positions of the targets in the instruments' frames, (pointings, 3, trials) [m]."""
         return self.stack_arrays(true_network.sightings.local_points for true_network in self.true_networks)
 
     @cached_property
@@ -211,7 +211,7 @@ class StackCalibrator(TrialCalibrator):
 
     @classmethod
     def for_stack(cls, method: CalibrationMethod, stack: GeometryStack) -> Self:
-        """Calibrator of a stack by a method of the campaign file."""
+        """Calibrator of the trials in `stack` by a method of the campaign file."""
         first_calibrator = make_calibrator(method, stack.true_networks[0])
         return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
 
@@ -220,7 +220,7 @@ class StackCalibrator(TrialCalibrator):
         return make_calibrator(self.requested_method, self.true_network.true_networks[trial])
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
-        """Estimates of the trials of a batch; a trial with undetermined parameters has the status failed."""
+        """Results for the trials of a batch; a trial with undetermined parameters has the status `failed`."""
         calibrated = CalibratedBatch.from_failed_trials(
             self.true_network, self.construction, self.effects, len(trial_batch.single_trial_batches)
         )
@@ -323,7 +323,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation (pointings, 3, trials) [m, rad, rad] of the readings; infinite for unmeasured ones."""
+        """Standard deviations of the readings, (pointings, 3, trials) [m, rad, rad]; infinite for missing readings."""
         return np.stack([part.reading_sigmas for part in self.networks], axis=-1)
 
     @cached_property
@@ -333,7 +333,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, trials) of readings by bench-tested reflectors; None without such ones."""
+        """Expected change (pointings, 3, trials) of readings by reflectors with a bench test; None without any."""
         shifts = [shift for part in self.networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
@@ -352,7 +352,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
-        """Whitened design (trials, rows, unknowns) of observations except readings, and residuals (rows, trials)."""
+        """Whitened design (trials, rows, unknowns) and residuals (rows, trials) of all observations except readings."""
         designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 

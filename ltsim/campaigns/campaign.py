@@ -36,7 +36,7 @@ from ltsim.campaigns.spec import (
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
-from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
+from ltsim.campaigns.store import CAMPAIGN_FILE_NAME, CampaignFolder, interruption_error
 from ltsim.campaigns.true_network import make_campaign_geometry
 from ltsim.core.arguments import check_argument_bounds, check_argument_choice
 from ltsim.core.errors import InputError, WorkerError, option_text, reraise_as_input_error
@@ -57,7 +57,7 @@ ProgressCallback = Callable[[int], None]
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """Worker processes that compute the shards: processes on this machine, or workers of a Dask scheduler."""
+    """Worker processes that compute the shards (files of rows): on this machine, or as workers of a Dask scheduler."""
 
     n_processes: int = 1
     """Number of worker processes on this machine; ignored with Dask, where the scheduler determines the number."""
@@ -84,7 +84,7 @@ class WorkerSettings:
 
 @dataclass(frozen=True)
 class CampaignRunResult:
-    """Result of one run of a campaign: folder, numbers of shards, and notes for the user."""
+    """Result of one run of a campaign: folder, numbers of shards (files of rows), and notes for the user."""
 
     folder: Path
     """Folder of the campaign."""
@@ -93,7 +93,7 @@ class CampaignRunResult:
     n_existing_shards: int
     """Number of shards (files of rows) that were complete before this run."""
     notes: tuple[str, ...]
-    """Notes for the user, for example on damaged shards that were computed again, or on another commit of ltsim."""
+    """Notes for the user, for example about damaged files of rows that were computed again."""
 
 
 def run_campaign(
@@ -161,7 +161,7 @@ def run_campaign(
 def _input_files(
     campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
-    """Contents by name of the input files that are stored with the rows: scenarios, points, CAD and campaign files.
+    """Contents, by name, of the input files to be stored with the rows: scenarios, points, CAD and campaign files.
 
     If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
     """
@@ -176,7 +176,7 @@ def _input_files(
         name = resolved_path.relative_to(root).as_posix() if is_in_folder else path.name
         contents[name] = read_cad_bytes(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE_NAME: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
 
 def _configuration_notes(
@@ -225,7 +225,7 @@ def _extended_campaign(
             ]
             raise InputError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option_text('out')}"
+                f"continue with {store.folder / CAMPAIGN_FILE_NAME}, or start again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
@@ -259,7 +259,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
                 f"continue with the same version, or start again with another {option_text('out')}"
             )
     notes = []
-    if (begun := manifest.commit) != (now := checkout_commit()):
+    if (begun := manifest.commit) != (now := git_commit_of_checkout()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
         notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor_type()):
@@ -276,7 +276,7 @@ def processor_type() -> str:
     return str(llvmlite.binding.get_host_cpu_name())
 
 
-def checkout_commit() -> str | None:
+def git_commit_of_checkout() -> str | None:
     """Git commit of the ltsim checkout from which the package runs; None for an installed package.
 
     An installed package may lie inside the checkout of another project. In this case git does not track the package
@@ -308,7 +308,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         cells=tuple(cell.manifest_entry(cell_index, factors) for cell_index, cell in enumerate(cells)),
         versions=_package_versions(),
         processor=processor_type(),
-        commit=checkout_commit(),
+        commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
         scenarios=tuple(
             ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
@@ -359,7 +359,7 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
 def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Pairs of a task and the bytes of its shard's file, in the order of completion.
+    """Pairs of a task and the bytes of the file of rows (shard) that it computes, in the order of completion.
 
     The existing rows of a shard are passed to the worker with the task.
     """

@@ -11,7 +11,7 @@ from ltsim.campaigns.compilation import compile_function, value_of_trial
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_ROTATION_NEWTON_STEPS = 3
-"""Number of Newton steps for the rotation of a rigid fit."""
+"""Number of Newton steps for the rotation of a rigid fit, which starts near its result."""
 MICROMETRES_PER_METRE = 1e6
 """Number of micrometres in a metre, for criteria in um."""
 
@@ -35,8 +35,8 @@ def add_weighted_points(points: Floats, station: Ints, target: Ints, weights: Fl
 def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
     """Transformation of the points of each station from its instrument frame to the network frame, in place.
 
-    `clouds` (stations, targets, 3, trials) are the points, `rotation` (stations, 3, 3) and `position` (stations, 3) the
-    nominal poses [m].
+    `clouds` (stations, targets, 3, trials) [m] are the points. `rotation` (stations, 3, 3) and `position` (stations, 3)
+    [m] are the nominal poses of the stations.
     """
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
@@ -314,8 +314,8 @@ def distance_gradient(
 ) -> None:
     """Half of the derivative of the distance objective by the points, added to `point_gradient`.
 
-    `clouds` (sets, targets, 3, trials) [m] are the points of each set (one station and face) on each target;
-    `point_gradient` has the same shape; `is_visible` (sets, targets) is the mask of the measured targets.
+    `clouds` (sets, targets, 3, trials) [m] are the mean points of each target in each set of pointings (one station and
+    face); `point_gradient` has the same shape. `is_visible` (sets, targets) is the mask of the measured targets.
     `gauge_lengths` (lengths, trials) [m] are the reference lengths between the pairs of targets `gauge_pairs` (lengths,
     2). The value of the objective is added to `cost` (trials,).
     """

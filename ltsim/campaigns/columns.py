@@ -143,5 +143,5 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
 
 
 def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Values by column name, from rows that are mappings with the same keys."""
+    """Values by column name, from rows that are mappings of column names to values."""
     return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

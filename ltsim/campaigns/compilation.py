@@ -48,7 +48,7 @@ def value_of_trial(value: Floats | float, trial: int) -> float:
 
 @overload(value_of_trial, strict=False)
 def _compiled_value_of_trial(value: object, trial: object) -> Callable[..., object]:
-    """Compiled form of `value_of_trial`: a scalar is returned unchanged, of an array the entry of the trial."""
+    """Compiled form of `value_of_trial`: returns a number unchanged, and of an array the entry of the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

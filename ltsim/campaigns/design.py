@@ -21,7 +21,7 @@ RESERVED_COLUMN_NAMES = frozenset(
         "column", "unit", "mean", "standard_deviation", "low", "high", "minimum", "maximum",
     }
 )  # fmt: skip
-"""Names of the columns that every campaign has; a factor must have another name."""
+"""Names of the columns that the rows of every campaign have; no factor may have such a name."""
 N_DESIGN_POINT_DIGITS = 4
 """Number of significant digits to which values at design points are rounded, for readability; the points remain
 distinct."""
@@ -59,7 +59,7 @@ class KeyRange(TomlSection):
 
 
 class SpaceFillingDesign(TomlSection):
-    """Design points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
+    """Space-filling design: points distributed evenly over ranges of several keys, instead of a full grid."""
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
@@ -102,13 +102,13 @@ class Factor(Entry):
     name: str
     """Name of the factor, and of its column in rows and summary."""
     keys: tuple[str, ...]
-    """Dotted keys of the scenario that take the value of the factor."""
+    """Dotted keys of the scenario, such as `work.faces`, that take the value of the factor."""
     unit: str = ""
     """Unit of the levels."""
     kind: ValueType = "number"
     """Type of the levels; tables are written as JSON."""
 
-    def level(self, scenario: Mapping[str, Any]) -> Any:
+    def level_in_scenario(self, scenario: Mapping[str, Any]) -> Any:
         """Level of the factor in a cell (combination of factor levels), from the TOML tables of the cell's scenario.
 
         A table is returned as JSON text, a missing key as None.
@@ -125,7 +125,7 @@ class Factor(Entry):
 
 
 def short_key_names(keys: Sequence[str]) -> dict[str, str]:
-    """Shortest suffix of each dotted key that is unique among all keys and reserved columns, by key."""
+    """Shortest ending of each dotted key that differs from all other keys and from reserved columns, by key."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}

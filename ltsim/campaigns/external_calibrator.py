@@ -28,11 +28,11 @@ from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 
 MAX_QUOTED_LINE_LENGTH = 300
-"""Largest number of characters, in a message, of the last line that an external program printed."""
+"""Largest number of characters that a message quotes from the last line printed by an external program."""
 RECORDING_PLACEHOLDER = "{recording}"
-"""Word of a calibrator command that is replaced by the path of the recording."""
+"""Placeholder in a calibrator command that is replaced by the path of the recording."""
 OUTPUT_PLACEHOLDER = "{out}"
-"""Word of a calibrator command that is replaced by the path of the output file."""
+"""Placeholder in a calibrator command that is replaced by the path of the output file."""
 
 
 class ParameterEstimate(NamedTuple):
@@ -134,7 +134,7 @@ def _read_estimates(file: Path) -> dict[str, list[object]]:
 
 
 def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
-    """Validated estimates by name of the parameter; raises RecordError."""
+    """Validated estimates by name of the parameter; raises RecordError for an invalid estimate."""
     try:
         estimates = _ESTIMATES_ADAPTER.validate_python(raw_estimates)
     except ValidationError as problem:

@@ -31,7 +31,7 @@ LAW_AMPLITUDE_NAME = "size"
 """Name of the amplitude of a law (effect described by a formula), as in ``RESPONSE ~ REGRESSOR:size=VALUE``. The
 amplitude is the rms change of the response, in um or urad."""
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-"""Default noncentralities of the injections for a detection curve."""
+"""Default noncentralities (expected decrease of chi-square) of the injections for a detection curve."""
 MAX_EFFECT_DRAWS = 25
 """Largest number of attempts to draw the unspecified values of an effect. If no attempt changes the residuals, an error
 is raised."""
@@ -184,7 +184,7 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    """Key by which equal findings are recognised: effect, stations, targets and observables."""
+    """Effect, stations, targets and observables of a finding, which identify equal findings of two diagnoses."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
@@ -226,7 +226,8 @@ def _scaled_effect(
 ) -> tuple[CandidateEffect, Floats]:
     """Effect with its stations and targets, and its parameter values (parameters,) [SI], scaled to a noncentrality.
 
-    If the drawn effect changes no residual, its unspecified values are drawn again.
+    `noncentrality` is None if the effect is not scaled. If the drawn effect changes no residual, its unspecified values
+    are drawn again.
     """
     for attempt in range(MAX_EFFECT_DRAWS):
         drawn, values = _drawn_effect(injector, cause, random_generator)
@@ -243,7 +244,7 @@ def _scaled_effect(
 def _drawn_effect(
     injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its stations and targets, and its parameter values (parameters,) [SI]; missing ones are drawn."""
+    """Effect with its stations and targets, and its parameter values (parameters,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split_parameter_values(cause)
         requested_effect = parse_requested_effect(text, injector.recording)

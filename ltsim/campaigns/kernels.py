@@ -22,7 +22,7 @@ MAX_BATCH_NEWTON_STEPS = 8
 
 @compile_inlined
 def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[float, float]:
-    """Cosine and sine of the sum of an angle, given by cosine and sine, and a small angle [rad]."""
+    """Cosine and sine of an angle plus `small_angle` [rad], from the cosine and sine of the angle."""
     square = small_angle * small_angle
     s = small_angle * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
     c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))

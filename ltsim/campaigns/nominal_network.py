@@ -76,7 +76,7 @@ class NominalNetwork:
     kinematic_chain: ChainArrays
     """Kinematic chain of the geometric error model, linearised at the nominal readings."""
     effects: tuple[Effect, ...] = ()
-    """Additional effects that are estimated; the nuisance errors that the recording declares are estimated too."""
+    """Effects that are estimated in addition to the instrument parameters and to the declared nuisance errors."""
     shared_derivatives: SharedDerivatives | None = None
     """Derivatives of another network with the same set-up, which are reused; None if they have to be computed."""
     is_adjusted_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
@@ -84,7 +84,7 @@ class NominalNetwork:
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """Measurement model, the same as in the adjustment of a single recording."""
+        """Measurement model that predicts the readings, the same as in the adjustment of a single recording."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared_derivatives is not None:
             vars(model)["nuisance_errors"] = self.shared_derivatives.network.model.nuisance_errors
@@ -92,7 +92,7 @@ class NominalNetwork:
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """Least-squares problem at the nominal state, with the observations of the adjustment of a single recording."""
+        """Least-squares problem at the nominal unknowns, with the observations of an adjustment of one recording."""
         if self.shared_derivatives is None:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
@@ -254,14 +254,17 @@ class NominalNetwork:
 
     @cached_property
     def _additional_parameter_design(self) -> Floats:
-        """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
+        """Change (pointings, 3, effect parameters) of the readings per unit of each parameter of effects.
+
+        Nuisance errors that the recording declares count as effects.
+        """
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._sightings_in_floor_plan_frame)
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation (pointings, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
+        """Standard deviations of the readings, (pointings, 3) [m, rad, rad]; infinite for unmeasured readings."""
         return np.where(self.problem.is_used_reading, self.problem.sigma, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -72,17 +72,17 @@ class Recovery(ResultFile):
     passed: bool
     """True if all checks passed and no parameter is unchecked, unless unchecked parameters are permitted."""
     error_origin: ErrorOrigin = "drawn"
-    """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
+    """Origin of the true instrument errors: `drawn` from the prior, or `stated` (declared) by the scenario."""
     trials: NonNegativeInt
     """Number of trials."""
     trials_with_result: NonNegativeInt
-    """Number of trials with a result."""
+    """Number of trials in which the calibration converged."""
     seed: NonNegativeInt
     """Seed of the random draws."""
     checks: tuple[RecoveryCheck, ...]
     """Checks that a number lies between two limits. A correct model fails at least one of them in one run of 100."""
     parameters: tuple[RecoveredParameter, ...] = ()
-    """Errors of each parameter over the trials."""
+    """Statistics of the errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
     """Names of all parameters that ltsim estimates in the same recordings, if another calibrator is checked."""
     unchecked_parameters: tuple[str, ...] = ()
@@ -92,7 +92,7 @@ class Recovery(ResultFile):
     tolerances: dict[str, str] = Field(default_factory=dict)
     """Tolerances of the user by parameter, such as `2 urad`. If there are any, only these parameters are checked."""
     last_failure_reason: str = ""
-    """Reason of the last failure of a trial."""
+    """Reason of the last failed trial; empty if no trial failed."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
     @classmethod

@@ -19,7 +19,7 @@ from ltsim.core.results import Table, model_columns
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 RECOVERY_FALSE_ALARM_RATE = 0.01
-"""Probability that a correct model fails at least one of the checks."""
+"""Probability that a correct model fails at least one of the checks of a run."""
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
 MIN_RECOVERY_TRIALS = 2
@@ -35,7 +35,7 @@ TOTAL_CHI2_MARGIN = 0.02
 """Permitted relative deviation of the sum of chi-square over all trials from its expectation, in addition to its
 sampling error."""
 MEAN_SQUARE_Z_MARGIN = 0.05
-"""Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
+"""Permitted deviation from 1 of the mean squared z-score of targets and stations, in addition to its sampling error."""
 MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT = float(np.sqrt(2.0))
 """Largest possible ratio of the standard deviation to the mean of a trial's mean squared z-score. It occurs if all
 z-scores of the trial are equal."""
@@ -45,7 +45,7 @@ class RecoveryCheck(Entry):
     """Check that a number lies between two limits."""
 
     subject: str
-    """Subject of the check: a parameter, chi-square, targets or stations."""
+    """Subject of the check, such as the name of a parameter, chi-square, targets or stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
     value: OptionalFloat
@@ -68,13 +68,13 @@ class RecoveryCheck(Entry):
         return cls(subject=subject, statistic=statistic, value=value, passed=is_passed, **limits)
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
-        """Check of the same value with other limits."""
+        """Check of the same value with the limits `lower_limit` and `upper_limit`."""
         return self.from_value(
             self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
         )
 
     def sentence(self) -> str:
-        """Sentence with the value and its limits."""
+        """Sentence with the result of the check, its value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
         limits = f"allowed {self.lower_limit:.4g} to {self.upper_limit:.4g}"
         return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"

@@ -63,7 +63,7 @@ class RecoveredParameter(Entry):
     unit: str
     """Unit of the errors."""
     rms_error: OptionalFloat = None
-    """Root mean square error."""
+    """Root mean square of the errors (estimate minus true value)."""
     mean_z: OptionalFloat = None
     """Mean of the z-scores (errors divided by declared standard deviations)."""
     standard_deviation_z: OptionalFloat = None
@@ -205,7 +205,7 @@ class RecoveryTrials(ValueEquality):
     run_time_s: float = 0.0
     """Run time of the trials [s]."""
     last_failure_reason: str = ""
-    """Reason of the last failure of a trial."""
+    """Reason of the last failed trial; empty if no trial failed."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -223,7 +223,7 @@ class RecoveryTrials(ValueEquality):
         return [trial for trial in self.trial_scores if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
-        """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
+        """Array (trials, parameters) of one attribute of `TrialScore`, for all trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.available_trial_scores])
 
     @property
@@ -239,7 +239,7 @@ class RecoveryTrials(ValueEquality):
         return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
 
     def trial_rows(self) -> list[dict[str, object]]:
-        """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
+        """Rows of `trials.csv`, one per trial and parameter, in the unit of the parameter."""
         return [
             {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
              "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
@@ -289,7 +289,7 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
+        """All checks of the run. A correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trial_scores) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:

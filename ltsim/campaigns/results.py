@@ -239,7 +239,7 @@ class PairedDifference:
 
     @property
     def sentence(self) -> str:
-        """Sentence on the difference with its confidence interval."""
+        """Sentence with the difference, its confidence interval and the number of trials."""
         place = "".join(f", {name} {value}" for name, value in self.shared_levels.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
@@ -335,9 +335,10 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
 def _trial_numbers_and_values(
     results: CampaignStatistics, statistic: str, cell: int, method: str
 ) -> tuple[Floats, Floats]:
-    """Numbers of the trials of a cell and method, shape (trials,), and the values whose means give the statistic.
+    """Trial numbers (trials,) of a cell and method, and the values whose means give the statistic.
 
-    The values have the shape (1, trials) for a mean, and (2, trials), numerator and denominator, for a ratio of means.
+    A cell is a combination of factor levels. The values have the shape (1, trials) for a mean, and (2, trials),
+    numerator and denominator, for a ratio of means.
     """
     expressions = statistic_sql_expressions(statistic)
     table = results.sql_expression_values(("trial", *expressions), cell, method, f"{expressions[0]} IS NOT NULL")

@@ -17,10 +17,11 @@ MAX_SHARDS = 500_000
 QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in the summary of a campaign."""
 
-SUMMARY_FILE = "summary.csv"
+SUMMARY_FILE_NAME = "summary.csv"
 """Name of the file with the statistics of a campaign."""
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
-"""Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
+"""Name of the column with the largest difference between batch solver and full solver; only verified trials have a
+value."""
 PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
 """Text in place of a unit, for columns with one name per parameter whose numbers are in the unit of the parameter."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
@@ -38,7 +39,7 @@ MEASURED_POINT_ERROR_MEANING = (
 HELD_OUT_POINT_MEANING_PREFIX = (
     "error at the held-out points of `validation_points`, whose readings no calibration used: "
 )
-"""Beginning of the meaning of result columns at held-out points, for tables and documentation."""
+"""Beginning of the meaning of result columns with an error at held-out points, for tables and documentation."""
 REMOVED_ERROR_FRACTION_MEANING = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
@@ -113,7 +114,7 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
     _parameter_column("sigma", PARAMETER_UNIT_PLACEHOLDER, "estimates", "standard deviation of an estimate"),
     _parameter_column("true", PARAMETER_UNIT_PLACEHOLDER, "truth", "true value of a parameter"),
 )
-"""Columns of all results that rows and statistics can contain, for files, documentation and reports."""
+"""Columns of all results that rows and statistics may contain, for files, documentation and reports."""
 RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
 """Names of the statistics that are ratios of two means over all trials, and therefore have no value for a single trial.
 """
@@ -133,7 +134,10 @@ def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
 
 
 def number_of_shards(n_trials: int, trials_per_shard: int, n_cells: int = 1) -> int:
-    """Number of shards (files of rows) of `n_cells` cells with `n_trials` trials; ValueError above `MAX_SHARDS`."""
+    """Number of files of rows (shards) of a campaign with `n_cells` cells of `n_trials` trials.
+
+    A cell is a combination of factor levels. ValueError is raised above `MAX_SHARDS`.
+    """
     n_shards = n_cells * -(-n_trials // trials_per_shard)
     if n_shards > MAX_SHARDS:
         raise ValueError(
@@ -174,7 +178,7 @@ ROWS_TABLE = Table(
 
 
 def summary_table(factors: Mapping[str, str]) -> Table:
-    """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
+    """Table `summary.csv` of a campaign: one row per cell (combination of factor levels), method and result column.
 
     `factors` holds the type of the levels of each factor by its name.
     """
@@ -185,7 +189,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
         for column in (number_columns if kind in ("number", "integer") else text_columns)(**{name: about})
     ]
     return Table(
-        SUMMARY_FILE,
+        SUMMARY_FILE_NAME,
         "every statistic over the trials of a combination of factor levels (cell) and a method, with these levels",
         (
             *number_columns(cell="number"),
@@ -230,13 +234,13 @@ class CellEntry(Entry):
     """Entry of a cell (combination of factor levels) in the manifest of a campaign."""
 
     cell: NonNegativeInt
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     label: str
-    """Description of the cell in one line: the level of each factor."""
+    """Description of the cell (combination of factor levels) in one line: the level of each factor."""
     levels: dict[str, FactorLevelValue] = Field(default_factory=dict)
     """Level of each factor, by the factor's name."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
-    """Values that replace those of the base scenario in this cell, by dotted key."""
+    """Values that replace those of the base scenario in this cell (combination of factor levels), by dotted key."""
     digest: str = ""
     """Digest of everything that determines the rows of the cell. The metadata of the cell's files of rows (shards)
     contain it too."""
@@ -299,11 +303,12 @@ class ManifestFile(ResultFile):
     trials: NonNegativeInt
     """Largest number of trials of each cell (combination of factor levels)."""
     trials_per_shard: Annotated[int, Field(ge=1)] | None = None
-    """Number of trials in a file of rows."""
+    """Number of trials in a file of rows (shard); null if the campaign declares none."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibration methods."""
     factors: tuple[Factor, ...] = ()
-    """Factors: keys of the scenario whose values differ between cells."""
+    """Factors of the campaign: keys of the scenario whose values differ between cells (combinations of factor levels).
+    """
     cells: tuple[CellEntry, ...] = Field(min_length=1)
     """Cells (combinations of factor levels) of the campaign."""
     versions: dict[str, str] = Field(default_factory=dict)
@@ -315,7 +320,7 @@ class ManifestFile(ResultFile):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Content of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
-    """Scenario of each cell."""
+    """Scenario of each cell (combination of factor levels), with all its keys."""
 
     def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""

@@ -35,9 +35,9 @@ class NetworkScore:
     station_mean_square_z: float = np.nan
     """Mean squared z-score (error / sigma) over all poses of stations except the first, which defines the datum."""
     chi2: float = np.nan
-    """Chi-square of the adjustment."""
+    """Chi-square of the network adjustment (weighted sum of squared residuals)."""
     dof: float = np.nan
-    """Degrees of freedom of the adjustment."""
+    """Degrees of freedom of the network adjustment."""
     expected_chi2: float = np.nan
     """Expected chi-square, for random noise and random true parameters."""
     chi2_sigma: float = np.nan
@@ -97,7 +97,7 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
 
 
 def check_parameters_have_true_values(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
-    """Check that the parameters `names` are among `true_names`; InputError for a parameter without a true value."""
+    """Check that each parameter in `names` is in `true_names`; InputError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
         raise InputError(

@@ -47,7 +47,7 @@ from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
 """Groups of result columns that are computed from readings corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
-"""Largest number of trials that are calibrated together if each trial has a separate network geometry."""
+"""Largest number of trials with separate network geometries that are calibrated together."""
 MAX_BATCH_ARRAY_VALUES = 5_000_000
 """Largest number of values (8 bytes each) in the arrays of a batch of trials. Larger batches are divided."""
 BATCH_VALUES_PER_POINTING = 30
@@ -72,19 +72,20 @@ class ShardTask:
     cell_digest: str
     """Digest of everything that determines the rows of the cell (combination of factor levels)."""
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     shard: int
-    """Index of the shard in the cell, from 0."""
+    """Index of the file of rows (shard) in the cell (combination of factor levels), from 0."""
     validation_scenario: Scenario | None = None
     """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
-    """Classes of effects that the user registered in this session; worker processes do not have these classes."""
+    """Classes of effects that the user registered in this session, because worker processes do not have them."""
     existing_rows: pa.Table | None = None
-    """Existing rows of the shard, if trials or statistics were added to the campaign."""
+    """Rows that the file of rows (shard) already contains, if trials or statistics were added to the campaign; else
+    None."""
 
     @property
     def shard_metadata(self) -> dict[str, str]:
-        """Metadata of the shard's file: campaign, cell, shard and statistics."""
+        """Metadata of the file of rows (shard): digest of the cell, indices of cell and shard, and statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
             "campaign": self.cell_digest,
@@ -124,18 +125,18 @@ class CellContext:
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
-        """Factors of the campaign: keys of the scenario whose values differ between cells."""
+        """Factors of the campaign: keys of the scenario that differ between cells (combinations of factor levels)."""
         return self.campaign.factors(self.scenario)
 
     @cached_property
     def levels(self) -> dict[str, Any]:
         """Levels of the factors in this cell (combination of factor levels), by name of the factor."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
-        return {factor.name: factor.level(tables) for factor in self.factors}
+        return {factor.name: factor.level_in_scenario(tables) for factor in self.factors}
 
     @cached_property
     def parameter_units(self) -> dict[str, str]:
-        """Units of the parameters in the rows, by label of the parameter."""
+        """Units of the parameters in the rows, by the label of the parameter."""
         names = tuple(self.scenario.trackers_in_use)
         labels = parameter_labels(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
         for method in self.campaign.methods:
@@ -253,7 +254,7 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a shard for the trials after the first `n_existing_trials`, which already have rows.
+    """New rows of a file of rows (shard), without the first `n_existing_trials` trials, which have rows already.
 
     With `truth_only` the rows contain only the true values, and no trial is calibrated.
     """
@@ -307,7 +308,7 @@ class TrialBatchRows:
 
     @cached_property
     def method_independent_columns(self) -> ResultColumns:
-        """Columns of results that do not depend on the method."""
+        """Result columns that do not depend on the calibration method."""
         return self.evaluator.method_independent_columns(self.trial_batch)
 
     @cached_property
@@ -378,7 +379,7 @@ class TrialBatchRows:
         return columns
 
     def _validation_columns(self, calibrated_batch: CalibratedBatch, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of a method with the errors at held-out points; empty without the key `validation_points`."""
+        """Result columns of a method with the errors at held-out points; empty without the key `validation_points`."""
         if self.validation_batch is None:
             return {}
         there, batch, before = self.validation_batch
@@ -392,6 +393,6 @@ class TrialBatchRows:
 
 
 def n_rows_of_shard(campaign: CampaignFile, shard: int) -> int:
-    """Number of rows of the shard with the index `shard` in its cell."""
+    """Number of rows of the file of rows (shard) with the index `shard` in its cell (combination of factor levels)."""
     first_trial = shard * campaign.trials_per_shard
     return len(campaign.methods) * (min(first_trial + campaign.trials_per_shard, campaign.trials) - first_trial)

@@ -65,7 +65,7 @@ class CalibrationMethod(TomlSection):
     degree: Annotated[int, Field(ge=0, le=4)] = 2
     """Degree of the polynomials in the range that describe the errors of the range axis of the model `dh`."""
     effects: Annotated[tuple[PlacedEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
-    """Additional effects to estimate, tables `[[methods.effects]]`."""
+    """Effects to estimate in addition to the instrument parameters, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
     uses_applied_corrections: bool = False
@@ -99,7 +99,7 @@ class StoppingRule(TomlSection):
     """Statistic whose mean has to be precise: a column of the rows, or an improvement of the agreement of stations [%].
     """
     max_half_width: Positive
-    """Largest half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
+    """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the unit of the statistic."""
 
 
 class CampaignFile(TomlSection):
@@ -140,14 +140,14 @@ class CampaignFile(TomlSection):
     """Standard deviation of a random drift of the instrument parameters (except the range scale) between calibration
     and measurement of the held-out points, as a fraction of the prior standard deviations."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
-    """Values that replace those of the base scenario in all cells, by dotted key."""
+    """Values that replace those of the base scenario in all cells (combinations of factor levels), by dotted key."""
     linked_keys: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
         default_factory=dict, max_length=MAX_DESIGN_KEYS
     )
     """Groups of keys that always take the same value, by a name for the group, which is also the name of their column.
     """
     grid: dict[str, list[Any]] = Field(default_factory=dict)
-    """Lists of levels by dotted key; all combinations of these levels are cells."""
+    """Lists of levels by dotted key; each combination of these levels is a cell."""
     design: SpaceFillingDesign | None = None
     """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
@@ -248,7 +248,7 @@ class CampaignFile(TomlSection):
                 yield self.values_by_key(values_by_name)
 
     def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted key, from values by dotted key or by a name in `linked_keys` for several keys."""
+        """Values by dotted key, from values by dotted key or by the name of a group of keys in `linked_keys`."""
         return {key: value for name, value in values_by_name.items() for key in self.linked_keys.get(name, (name,))}
 
 
@@ -308,7 +308,7 @@ class CampaignCell:
     validation_scenario: Scenario | None
     """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
     scenario_changes: dict[str, Any]
-    """Values that replace those of the base scenario in this cell, by dotted key."""
+    """Values that replace those of the base scenario in this cell (combination of factor levels), by dotted key."""
     levels: dict[str, Any]
     """Level of each factor, by the factor's name."""
     digest: str
@@ -316,7 +316,7 @@ class CampaignCell:
     """
 
     def manifest_entry(self, cell_index: int, factors: Sequence[Factor]) -> CellEntry:
-        """Entry of the cell in `manifest.json`."""
+        """Entry of the cell (combination of factor levels) in `manifest.json`."""
         label, changes = cell_label(factors, self.levels), self.scenario_changes
         return CellEntry(cell=cell_index, label=label, scenario_changes=changes, levels=self.levels, digest=self.digest)
 
@@ -332,7 +332,7 @@ def make_campaign_cells(
         tables = scenario.model_dump(mode="json", by_alias=True)
         points_name = campaign.validation_points
         validation = make_validation_scenario(points_name, scenario, path) if points_name else None
-        levels = {factor.name: factor.level(tables) for factor in factors}
+        levels = {factor.name: factor.level_in_scenario(tables) for factor in factors}
         texts = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
         digest = hashlib.sha256("\n".join([cell_seed_text, *texts]).encode()).hexdigest()
         cells.append(CampaignCell(scenario, validation, scenario_changes, levels, digest))
@@ -342,7 +342,7 @@ def make_campaign_cells(
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
     """Scenario of the held-out points of `validation_points`, with the instruments of a cell's scenario.
 
-    `name` is the value of `validation_points`, and `path` the campaign file. Raises InputError.
+    `name` is the value of `validation_points`, and `path` the campaign file. InputError is raised for an invalid name.
     """
     file = path_relative_to_campaign_file(name, path)
     if name.endswith(".csv"):

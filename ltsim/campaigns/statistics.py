@@ -27,8 +27,8 @@ from ltsim.campaigns.schema import (
     statistic_sql_expressions,
     summary_table,
 )
-from ltsim.campaigns.stopping import interval_error_rate, student_quantile
-from ltsim.campaigns.store import CampaignFolder, sql_path
+from ltsim.campaigns.stopping import interval_error_rate, student_t_quantile
+from ltsim.campaigns.store import CampaignFolder, path_as_sql_text
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
@@ -96,7 +96,7 @@ class CampaignStatistics:
             raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": database_memory_limit(shards)})
-        source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
+        source = f"read_parquet([{', '.join(map(path_as_sql_text, shards))}], union_by_name = true)"
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
@@ -122,7 +122,7 @@ class CampaignStatistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
+        """Check that the manifest contains the cells and methods of all rows; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"it has rows of cell {cell} by {method}, which are not in {ManifestFile.FILE}")
@@ -206,7 +206,7 @@ class CampaignStatistics:
         """
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
-        return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
+        return student_t_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def statistic_summaries(self, column: str) -> list[StatisticSummary]:
         """Mean with confidence interval, standard deviation and quantiles of a column, by cell and method."""
@@ -305,7 +305,7 @@ class CampaignStatistics:
         return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
-        """Statistics of all columns, for each cell and method."""
+        """Statistics of all columns, for each cell (combination of factor levels) and method."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != SOLVER_DIFFERENCE_COLUMN
         ]

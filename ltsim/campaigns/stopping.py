@@ -31,11 +31,14 @@ INTERVAL_ERROR_RATE = 0.05
 """Probability that at least one of the confidence intervals of a cell does not contain the mean. Without adaptive
 stopping, a cell has one interval."""
 ShardKey = tuple[int, int]
-"""Index of the cell, and index of the shard in the cell, both from 0."""
+"""Index of a cell (combination of factor levels), and index of a file of rows (shard) in it, both from 0."""
 
 
-def student_quantile(n_values: int, error_rate: float) -> float:
-    """Two-sided quantile of Student's t for the mean of `n_values` values, with exceedance probability `error_rate`."""
+def student_t_quantile(n_values: int, error_rate: float) -> float:
+    """Two-sided quantile of Student's t distribution for the mean of `n_values` values.
+
+    `error_rate` is the probability that the quantile is exceeded.
+    """
     return -float(special.stdtrit(n_values - 1, 0.5 * error_rate)) if n_values > 1 else math.inf
 
 

@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
-from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
+from ltsim.campaigns.schema import SUMMARY_FILE_NAME, ManifestFile
 from ltsim.core.errors import InputError, RecordError, option_text
 from ltsim.core.limits import MAX_READ_SHARD_ROWS
 from ltsim.core.storage import (
@@ -40,18 +40,20 @@ from ltsim.core.storage import (
 )
 from ltsim.recordings.result_file import read_result
 
-MANIFEST_FILE = ManifestFile.FILE
-"""Name of the file that defines a campaign."""
-CAMPAIGN_FILE = "campaign.toml"
-"""Name of the copy of the campaign file in the folder of a campaign."""
-ROWS_FOLDER = "rows"
+MANIFEST_FILE_NAME = ManifestFile.FILE
+"""Name of the file that defines a campaign, in its folder."""
+CAMPAIGN_FILE_NAME = "campaign.toml"
+"""Name of the copy of the campaign file, in the folder of the campaign."""
+ROWS_FOLDER_NAME = "rows"
 """Name of the subfolder with the files of rows (shards)."""
-LOCK_FILE = ".lock"
-"""Name of the file that a running process locks."""
-DIGESTS_FILE = "rows.sha256"
+LOCK_FILE_NAME = ".lock"
+"""Name of the file that a running campaign locks, so that no second process writes to its folder."""
+DIGESTS_FILE_NAME = "rows.sha256"
 """Name of the file with the SHA-256 digest of each shard."""
-DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
-"""Pattern of a complete line in the file of digests."""
+DIGEST_LINE_PATTERN = re.compile(
+    r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE
+)
+"""Pattern of a complete line in the file of digests: SHA-256 digest and path of a file of rows."""
 
 
 def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
@@ -86,7 +88,7 @@ def read_shard(path: Path) -> pa.Table:
 
 
 def _check_number_of_rows(path: Path, metadata: pq.FileMetaData) -> None:
-    """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
+    """Check of the number of rows in a file of rows (shard); raises `pyarrow.ArrowInvalid` for too many rows."""
     if metadata.num_rows > MAX_READ_SHARD_ROWS:
         raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_READ_SHARD_ROWS}")
 
@@ -108,11 +110,11 @@ class CampaignFolder:
 
     def shard_path(self, cell: int, shard: int) -> Path:
         """Path of the file of rows (shard) number `shard` of the cell number `cell`, both from 0."""
-        return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
+        return self.folder / ROWS_FOLDER_NAME / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order, at most the first `max_shards` of each cell."""
-        paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
+        """Paths of the finished files of rows (shards) in order, at most the first `max_shards` of each cell."""
+        paths = sorted(self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
@@ -145,30 +147,30 @@ class CampaignFolder:
     def recorded_shard_digests(self) -> dict[str, str]:
         """Recorded SHA-256 digest of each file of rows (shard), by its path in the folder."""
         try:
-            text = read_whole_file(self.folder / DIGESTS_FILE).decode("ascii", "replace")
+            text = read_whole_file(self.folder / DIGESTS_FILE_NAME).decode("ascii", "replace")
         except OSError:
             return {}
-        return {match["name"]: match["digest"] for match in DIGEST_LINE.finditer(text)}
+        return {match["name"]: match["digest"] for match in DIGEST_LINE_PATTERN.finditer(text)}
 
     @property
     def has_campaign(self) -> bool:
         """True if the folder contains a campaign."""
-        return (self.folder / MANIFEST_FILE).exists()
+        return (self.folder / MANIFEST_FILE_NAME).exists()
 
     def manifest(self) -> ManifestFile:
         """Manifest of the campaign; raises InputError if there is none or it is damaged."""
         if not self.has_campaign:
-            raise InputError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE})")
+            raise InputError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE_NAME})")
         try:
             return read_result(self.folder, ManifestFile)
         except RecordError as problem:
             raise InputError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
-        """Writing of the campaign's input files (contents by name), and then of its manifest; old ones are replaced."""
+        """Writing of the campaign's input files (contents by name), then of its manifest; old files are replaced."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
+            write_files(self.folder, {**input_files, MANIFEST_FILE_NAME: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Atomic writing of a file of rows (shard); raises InputError if the disk is full or not writable."""
@@ -185,14 +187,16 @@ class CampaignFolder:
 
     def _append_digest(self, name: str, digest: str) -> None:
         """Appending of one line, digest and name of a file of rows, to the file of digests."""
-        append_text(self.folder, DIGESTS_FILE, f"{digest}  {name}\n")
+        append_text(self.folder, DIGESTS_FILE_NAME, f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with the input files `sources` would overwrite.
 
         `sources` holds the contents of input files by name; an existing file with the same content is no conflict.
         """
-        remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
+        remaining = [
+            name for name in (ROWS_FOLDER_NAME, DIGESTS_FILE_NAME, SUMMARY_FILE_NAME) if (self.folder / name).exists()
+        ]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return remaining + [
             n for n, path in existing_paths.items() if not path.is_file() or read_whole_file(path) != sources[n]
@@ -200,12 +204,12 @@ class CampaignFolder:
 
     def remove_campaign(self) -> None:
         """Removal of manifest, rows and derived files; RecordError if a link leads to rows outside the folder."""
-        path_in_folder(self.folder, ROWS_FOLDER)
+        path_in_folder(self.folder, ROWS_FOLDER_NAME)
         with self._storage_errors():
-            for name in (MANIFEST_FILE, DIGESTS_FILE, SUMMARY_FILE):
+            for name in (MANIFEST_FILE_NAME, DIGESTS_FILE_NAME, SUMMARY_FILE_NAME):
                 (self.folder / name).unlink(missing_ok=True)
-            if (self.folder / ROWS_FOLDER).exists():
-                shutil.rmtree(self.folder / ROWS_FOLDER)
+            if (self.folder / ROWS_FOLDER_NAME).exists():
+                shutil.rmtree(self.folder / ROWS_FOLDER_NAME)
 
     def shard_status(
         self, cell: int, shard: int, required_metadata: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
@@ -245,20 +249,20 @@ class CampaignFolder:
     def remove_unfinished_files(self) -> None:
         """Removal of the remains of a killed run: temporary files, and an incomplete line in the file of digests."""
         with self._storage_errors():
-            for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
+            for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_shard_digests().items()).encode()
-            file = path_in_folder(self.folder, DIGESTS_FILE)
+            file = path_in_folder(self.folder, DIGESTS_FILE_NAME)
             if file.exists() and read_whole_file(file) != lines:
-                write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
+                write_files(self.folder, {DIGESTS_FILE_NAME: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
         """Context in which no other process can write to the folder; the lock ends with this process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            require_no_link(self.folder, LOCK_FILE)  # the library may empty the file
-            lock = FileLock(self.folder / LOCK_FILE, blocking=False)
+            require_no_link(self.folder, LOCK_FILE_NAME)  # the library may empty the file
+            lock = FileLock(self.folder / LOCK_FILE_NAME, blocking=False)
             try:
                 lock.acquire()
             except Timeout:
@@ -296,7 +300,7 @@ def _file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def sql_path(path: Path) -> str:
+def path_as_sql_text(path: Path) -> str:
     """Path as a quoted SQL text, in which brackets and asterisks are not interpreted as patterns."""
     escaped_path = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
     return "'" + escaped_path.replace("'", "''") + "'"

@@ -16,7 +16,7 @@ def _null_if_not_finite(value: float) -> float | None:
 
 
 NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=float | None, when_used="json")]
-"""Number; NaN stands for a number that does not exist, and becomes null in JSON."""
+"""Number, or NaN for a missing number; NaN becomes null in JSON."""
 
 
 class StatisticSummary(Entry):
@@ -26,11 +26,11 @@ class StatisticSummary(Entry):
     """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     column: str
-    """Name of the column of the rows, or of a ratio over all trials."""
+    """Name of the result column, or of a ratio over all trials."""
     trials: int
     """Number of trials of this cell (combination of factor levels) and method that have a value in this column."""
     mean: NumberOrNaN
@@ -59,7 +59,7 @@ class ZScoreSummary(Entry):
     """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     parameter: str
@@ -81,7 +81,7 @@ class SolverComparison(Entry):
     """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     trials: int
@@ -106,16 +106,17 @@ class CampaignSummary(Entry):
     trials: int
     """Largest number of trials of a cell (combination of factor levels); adaptive stopping may use fewer."""
     factors: tuple[Factor, ...]
-    """Factors: keys of the scenario whose values differ between cells."""
+    """Factors of the campaign: keys of the scenario whose values differ between cells (combinations of factor levels).
+    """
     cells: tuple[CellEntry, ...]
     """Cells (combinations of factor levels) of the campaign."""
     solver_comparisons: tuple[SolverComparison, ...]
-    """Comparison of batch and full solver for each cell and method."""
+    """Comparison of batch solver and full solver for each cell (combination of factor levels) and method."""
     quantile_levels: tuple[float, ...] = QUANTILE_LEVELS
     """Probabilities of the quantiles in `columns`."""
     meanings: dict[str, str]
     """Meaning of each column, by the name of the column."""
     columns: tuple[StatisticSummary, ...]
-    """Statistics of each column, for each cell and method."""
+    """Statistics of each result column, for each cell (combination of factor levels) and method."""
     z_scores: tuple[ZScoreSummary, ...]
-    """Summary of the z-scores of each parameter, for each cell and method."""
+    """Summary of the z-scores of each parameter, for each cell (combination of factor levels) and method."""

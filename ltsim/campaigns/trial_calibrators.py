@@ -56,7 +56,7 @@ class CalibratedBatch:
     status_indices: Ints
     """Status of each trial, (trials,), as index into `TRIAL_STATUSES`."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]; (0, 0) without effects."""
+    """Estimated parameters of effects, (effect parameters, trials) [SI]; (0, 0) if no effect is estimated."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Standard deviations of the parameters of effects [SI]: (effect parameters, 1) if all trials share them, else
     (effect parameters, trials)."""
@@ -101,7 +101,7 @@ class CalibratedBatch:
         )
 
     def copy_results_of_trial(self, trial: int, source_batch: CalibratedBatch, source_trial: int) -> None:
-        """Copying of the results of trial `source_trial` of another batch to trial `trial` of this batch, in place.
+        """Copying of the results of trial `source_trial` of `source_batch` to trial `trial` of this batch, in place.
 
         Standard deviations are copied only if they differ between trials.
         """
@@ -166,8 +166,8 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
 def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -> tuple[Bools, Floats]:
     """Mask (sets, targets) of the targets measured completely in each set of pointings, and weights (pointings,).
 
-    The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (pointings,) is the set
-    of each pointing.
+    `set_numbers` (pointings,) is the number of the set (one station, or one station and face) of each pointing. The
+    weight of a pointing is its share in the mean point of its set and target.
     """
     recording, targets = true_network.recording, len(true_network.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & true_network.is_recorded_observable.all())
@@ -259,12 +259,12 @@ class BatchCalibrator(TrialCalibrator):
 
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
-        """Full solver for trials that the batch cannot solve, and for verification."""
+        """Full solver, for trials that the batch solver cannot solve, and for verification."""
         return SerialCalibrator(self.true_network, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
-        """Nominal network, whose inverted normal matrix is used to adjust all trials."""
+        """Network with nominal readings, whose inverted normal matrix is used to adjust all trials."""
         true_network, built = self.true_network, self.construction if self.method == "network" else ideal_construction()
         program, recorded = true_network.kinematic_chain(built), true_network.is_recorded_observable
         return BatchNetwork(

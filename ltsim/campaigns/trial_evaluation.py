@@ -56,8 +56,8 @@ class TrialEvaluator:
     def can_compute_criteria(self) -> bool:
         """True if the disagreement of the stations in distances and coordinates can be computed.
 
-        At least two stations are needed, and each must share enough targets with the first station to determine its
-        pose relative to the first.
+        This needs at least two stations. Each must share enough targets with the first station to determine its pose
+        relative to the first station.
         """
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
@@ -149,9 +149,9 @@ class TrialEvaluator:
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def adjusted_target_error(self, points: Floats) -> Floats:
-        """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
+        """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true positions.
 
-        `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
+        `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are left out.
         """
         is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)

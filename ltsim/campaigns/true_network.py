@@ -156,7 +156,7 @@ class TrueNetwork:
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, parameters_by_reflector: Mapping[str, Floats]) -> Floats:
-        """Range errors (pointings, trials) [m] of the pointings by the incidence angles at the reflectors.
+        """Range errors (pointings, trials) [m] that depend on the incidence angles at the reflectors.
 
         `parameters_by_reflector` holds the parameters (14, trials) [SI] of the effect `smr-incidence` by name of the
         reflector.
@@ -203,7 +203,7 @@ class TrueNetwork:
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
-        """Change of the readings by an effect as a linear function of its parameters; None for a nonlinear effect.
+        """Change of the readings by one effect as a linear function of its parameters; None for a nonlinear effect.
 
         The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
         """
@@ -224,7 +224,7 @@ class TrueNetwork:
         )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Batch of `n_trials` drawn trials; its first trial has the number `batch_number` times `n_trials`."""
+        """Batch of `n_trials` drawn trials; the number of its first trial is `batch_number` times `n_trials`."""
         return self.draw_trials(StandardNormalSource(seed, n_trials * batch_number + np.arange(n_trials)))
 
     def draw_trials(
@@ -360,7 +360,7 @@ def make_true_network(
 
 
 def _state_in_start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
-    """True stations and targets, in the frame of the first station or, if levels define the vertical, of the hall.
+    """True stations and targets, in the frame of the first station, or of the hall if levels define the vertical.
 
     `mean_parameters` [SI] are the means of the true instrument parameters.
     """

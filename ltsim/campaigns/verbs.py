@@ -79,7 +79,7 @@ def campaign(
     require_packages()
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
-    from ltsim.campaigns.store import MANIFEST_FILE
+    from ltsim.campaigns.store import MANIFEST_FILE_NAME
 
     workers = WorkerSettings(jobs, backend, scheduler)
     check_mapping_argument("changes", changes)
@@ -87,7 +87,7 @@ def campaign(
     if tables is not None and out is None:
         raise InputError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else path_of_file_or_built_in(source)
-    is_finished = tables is None and (path / MANIFEST_FILE).is_file()
+    is_finished = tables is None and (path / MANIFEST_FILE_NAME).is_file()
     if is_finished and out is None and not (resume or force or changes):
         return CampaignResults(path)
     folder = rows_folder(path, out)

@@ -29,13 +29,13 @@ MAPPING_ARGUMENT_SYNTAX = {
     "changes": "KEY=VALUE, such as work.faces=2",
     "move": STATION_POSITION_SYNTAX,
 }
-"""Syntax of the arguments that are mappings, by the name of the argument, for messages and help."""
+"""Syntax of each argument that is a mapping (`NAME=VALUE`), by the name of the argument, for messages and help."""
 MAX_MAPPING_ARGUMENT_MAGNITUDE = 1e12
-"""Largest absolute value of a number in an argument that is a mapping, `NAME=NUMBER`."""
+"""Largest absolute value of a number in an argument of the form `NAME=NUMBER`."""
 
 
 def argument_bounds_text(argument_name: str) -> str:
-    """Range of an argument as text: `0 or more`, `1 to 256`."""
+    """Text of the permitted range of an argument: `0 or more`, `1 to 256`."""
     low, high = ARGUMENT_BOUNDS[argument_name]
     number_format = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number_format}}"
@@ -78,7 +78,7 @@ def bounded_number_parser(argument_name: str) -> Callable[[object], int | float]
 def check_argument_choice(
     argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
 ) -> None:
-    """Check that an argument is one of its permitted values (or None with `allow_none`); InputError otherwise."""
+    """Check that an argument is one of `choices` (or None with `allow_none`); raises InputError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
         raise InputError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 

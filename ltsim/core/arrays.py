@@ -23,7 +23,10 @@ MAX_MATRIX_ENTRIES = 100_000_000
 
 
 def batches(n_items: int, n_entries_per_item: int) -> Iterator[slice]:
-    """Slices that divide `n_items` into batches of at most `MAX_TEMPORARY_ENTRIES` array entries, or of one item."""
+    """Slices that divide `n_items` items into batches of at most `MAX_TEMPORARY_ENTRIES` array entries.
+
+    A batch contains at least one item.
+    """
     step = max(1, MAX_TEMPORARY_ENTRIES // max(n_entries_per_item, 1))
     return (slice(first, min(first + step, n_items)) for first in range(0, n_items, step))
 
@@ -77,10 +80,10 @@ def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
         yield int(key), group
 
 
-def as_floats(values: ArrayLike, shape: tuple[int, ...], argument_name: str) -> Floats:
-    """`values` as a finite float array of `shape`, in which -1 stands for any length.
+def as_finite_floats(values: ArrayLike, shape: tuple[int, ...], argument_name: str) -> Floats:
+    """Float array with the entries of `values` and the shape `shape`, in which -1 stands for any length.
 
-    Raises ModelError when the shape differs or a value is not finite; the message names the array.
+    ModelError, which names the argument, is raised if the shape differs or a value is not finite.
     """
     array = np.asarray(values, dtype=np.float64)
     has_shape = array.ndim == len(shape) and all(

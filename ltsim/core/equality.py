@@ -62,10 +62,7 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
 
 
 def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
-    """Tuple with the content of a sparse matrix or of an ltsim object with `__reduce__`, for `equal_values`.
-
-    The result is None for all other objects.
-    """
+    """Tuple with the content of a sparse matrix, or of an ltsim object that defines `__reduce__`; None for others."""
     kind = type(compared_object)
     if kind.__module__.startswith("scipy.sparse"):
         compressed = compared_object.tocsr()

@@ -140,7 +140,7 @@ def require_extra(package_names: Sequence[str], feature_name: str, extra_name: s
 
 
 def is_installed(package_name: str) -> bool:
-    """True if a package can be imported."""
+    """True if a package is installed, so that it can be imported."""
     try:
         return find_spec(package_name) is not None
     except ValueError:  # it was hidden from this process

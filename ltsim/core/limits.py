@@ -14,7 +14,7 @@ BYTES_PER_MIB = 1024 * 1024
 """Number of bytes of a mebibyte."""
 
 MAX_FILE_BYTES = 32 * BYTES_PER_MIB
-"""Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
+"""Largest size [bytes] of an input file. A table of 500,000 pointings has 25 MiB."""
 MAX_TEXT_LINES = 500_000
 """Largest number of lines of a text file, and of rows of all sheets of a workbook together. A pointing takes 600 bytes
 while it is read."""
@@ -23,7 +23,8 @@ MAX_LGC_LINES = 200_000
 MAX_FIELD_BOOK_POINTINGS = 300_000
 """Largest number of pointings in a field book of a total station; a pointing takes 1.3 kB while it is read."""
 MAX_LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line: a header of `MAX_ROW_FIELDS` names with 40 characters each."""
+"""Largest number of characters in a line of a file, enough for a header of `MAX_ROW_FIELDS` names with 40 characters
+each."""
 MAX_ROW_FIELDS = 500
 """Largest number of columns in a table."""
 MAX_TABLE_HEADERS = 10_000
@@ -43,10 +44,11 @@ MAX_ADJUSTED_TARGETS = 6_000
 number. An adjustment of two set-ups takes 19 s and 436 MB with 6,000 targets, and 44 s and 970 MB with 10,000. The
 largest measured networks have 1,000 targets."""
 MAX_CALIBRATED_TARGETS = 2_500
-"""Largest number of targets of a network that is calibrated; 2,500 take 9 s and 400 MB, 10,000 take 104 s and 4.2 GB.
-"""
+"""Largest number of targets of a network that is calibrated. A calibration with 2,500 targets takes 9 s and 400 MB,
+with 10,000 targets 104 s and 4.2 GB."""
 MAX_DIAGNOSED_TARGETS = 1_500
-"""Largest number of targets of a network that is diagnosed; 1,500 take 60 s and 0.8 GB, 3,000 take 148 s and 2.1 GB."""
+"""Largest number of targets of a network that is diagnosed. A diagnosis with 1,500 targets takes 60 s and 0.8 GB, with
+3,000 targets 148 s and 2.1 GB."""
 MAX_NETWORK_SETUPS = 500
 """Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed. Memory and time grow with
 the number of pairs of set-up and target, and of pairs of set-ups. The largest measured networks have hundreds of
@@ -85,9 +87,8 @@ MAX_TOML_VALUES = 400_000
 coordinates and a covariance matrix each."""
 
 MAX_JSON_VALUES = 1_500_000
-"""Largest number of commas and opening brackets in a JSON file, an upper bound of the number of values. An empty
-object with its comma has three characters in the file and takes 64 bytes of memory.
-"""
+"""Largest number of commas and opening brackets in a JSON file, which is an upper bound of the number of values. An
+empty object with its comma has three characters and takes 64 bytes of memory."""
 
 MAX_RESULT_LIST_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Such lists have one entry per parameter, target or test; values

@@ -14,7 +14,7 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text for a missing number, in place of `nan`."""
 MAX_LISTED_ITEMS = 6
-"""Largest number of names or numbers that a sentence lists; further ones are only counted."""
+"""Largest number of names or numbers that a sentence lists; all further ones are only counted."""
 MAX_LISTED_SENTENCES = 4
 """Largest number of sentences of one kind that are displayed; further ones are only counted."""
 MAX_SIGMA_DECIMALS = 12

@@ -12,9 +12,9 @@ from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import WorkerError, option_text
 
 PARENT_CHECK_INTERVAL_S = 1.0
-"""Time [s] between two checks by a worker process that its parent process still exists."""
+"""Time [s] between two checks of a worker process whether its parent process still exists."""
 PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE = "PYTHONSAFEPATH"
-"""Environment variable that keeps Python from adding the working folder to its module search path."""
+"""Name of the environment variable that keeps the working folder off Python's module search path."""
 ReturnType = TypeVar("ReturnType")
 """Type of the result of a function that worker processes call."""
 
@@ -79,7 +79,7 @@ def _without_working_folder() -> Iterator[None]:
 
 
 def _watch_parent(parent_process_id: int) -> None:
-    """Start of a thread that ends this process as soon as its parent process no longer exists."""
+    """Start of a thread that ends this process when the process `parent_process_id` no longer exists."""
 
     def end_with_parent() -> None:
         while os.getppid() == parent_process_id:

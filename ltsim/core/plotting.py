@@ -9,7 +9,7 @@ _plotting_loaders: list[Callable[[str], Any]] = []
 
 
 def register_plotting_loader(import_module: Callable[[str], Any]) -> None:
-    """Registration of the function that imports a module of `ltsim.reports` by its name."""
+    """Registration of `import_module`, a function that imports a module of `ltsim.reports` by its name."""
     _plotting_loaders[:] = [import_module]
 
 

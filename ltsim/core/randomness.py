@@ -24,7 +24,7 @@ together take 8 MiB."""
 
 @lru_cache(maxsize=4096)
 def _key_checksum(key_text: str) -> int:
-    """Integer for a name in the key of a random stream: its CRC-32 checksum."""
+    """Integer in place of a name in the key of a random stream: the CRC-32 checksum of the name."""
     return zlib.crc32(key_text.encode())
 
 
@@ -92,5 +92,5 @@ def standard_normal_trials(
 
 
 def _stream_of_trials(seed: int, stream_number: int, *stream_key: str | int) -> np.random.Generator:
-    """Random generator of the stream that `TRIALS_PER_STREAM` consecutive trials share."""
+    """Random generator of stream number `stream_number`, which `TRIALS_PER_STREAM` consecutive trials share."""
     return random_stream(seed, *stream_key, "block", stream_number)

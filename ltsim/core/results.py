@@ -36,7 +36,7 @@ FORMULA_START_CHARACTERS = ("=", "+", "-", "@", "'")
 """Characters at the start of a text that a spreadsheet may take for a formula; the CSV file has an apostrophe before
 them."""
 MAX_RESULT_MAGNITUDE = 1e40
-"""Largest absolute value of a number in a result file; a product of seven such numbers does not overflow."""
+"""Largest absolute value of a number in a result file, so that a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
 """Largest number of rows of a table that a notebook shows."""
 ColumnKind = Literal["text", "number", "flag", "p_value"]
@@ -290,7 +290,7 @@ class Table(ValueEquality):
         return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
     def displayed_cells(self) -> list[list[str]]:
-        """Displayed texts of the rows, in the order of `headings`."""
+        """Displayed text of each cell, row by row, in the column order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
         pairs = [(c, c.sigma_column or c.uncertainty_column) for c in self._displayed_columns]
         return [[c.displayed_text(row[at[c.name]], row[at[p]] if p else None) for c, p in pairs] for row in self.rows]

@@ -24,8 +24,8 @@ from tempfile import TemporaryFile
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import BYTES_PER_MIB
 
-FILE_MODE = 0o666
-"""Permissions of a new file, which the umask restricts further."""
+NEW_FILE_PERMISSIONS = 0o666
+"""Permissions of a new file, before the user's umask restricts them."""
 MAX_JOURNAL_BYTES = BYTES_PER_MIB
 """Largest size [bytes] of a journal file (list of pending renamings) that is read: the size for 10,000 files."""
 _PROCESS_TOKEN = secrets.token_hex(4)
@@ -123,7 +123,7 @@ def open_for_reading(path: Path) -> BufferedReader:
 
 
 def read_whole_file(path: Path) -> bytes:
-    """Content of a file of any size; OSError as for `open_for_reading`."""
+    """Content of a file of any size; raises OSError like `open_for_reading`."""
     with open_for_reading(path) as stream:
         return stream.read()
 
@@ -165,7 +165,7 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
             f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
         )
-    if is_device(final_path):
+    if is_device_or_pipe(final_path):
         raise RecordError("is a pipe or device; remove it, or choose another folder", file=folder / file_name)
     return final_path
 
@@ -187,7 +187,7 @@ def is_unmodified_since_written(path: Path) -> bool:
     return content == with_digest_comment(content[:-n_bytes].decode("utf-8", "replace")).encode()
 
 
-def is_device(path: Path) -> bool:
+def is_device_or_pipe(path: Path) -> bool:
     """True for the path of a device or pipe, which is neither a file nor a folder."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
@@ -201,14 +201,14 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
         if path.is_dir() != is_folder and path.exists():
             wrong = "the path is a file, expected a folder" if is_folder else "the path is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
-        if is_device(path):
+        if is_device_or_pipe(path):
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         else:
             _check_nearest_folder_writable(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
-    if not is_folder and not (is_device(path) and not path.is_symlink()):
+    if not is_folder and not (is_device_or_pipe(path) and not path.is_symlink()):
         path_in_folder(path.parent, path.name)
 
 
@@ -230,8 +230,8 @@ def _temporary_name(file_suffix: str) -> str:
 
 
 def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
-    """Creation of a new file with the permissions that the user's umask permits."""
-    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, FILE_MODE)) as stream:
+    """Creation of a new file with `content`; the user's umask restricts its permissions."""
+    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, NEW_FILE_PERMISSIONS)) as stream:
         stream.write(content)
         if flush_to_disk:
             stream.flush()

@@ -89,11 +89,11 @@ UNIT_BY_SPELLING = MappingProxyType(
 )
 """Unit by its spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
 ANGLE_UNITS = ("deg", "gon", "rad", "dms")
-"""Units of angles."""
+"""Units of angles in files; `dms` means degrees, minutes and seconds in one cell."""
 LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
-"""Units of lengths."""
+"""Units of lengths in files."""
 SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
-"""Units of small angles, such as standard deviations."""
+"""Units of small angles in files, such as standard deviations."""
 _PI = Decimal("3.14159265358979323846264338327950288")
 """Pi with 36 digits, for exact conversions of angles."""
 _FULL_CIRCLE_BY_UNIT = MappingProxyType(
@@ -118,7 +118,7 @@ _QUANTITY_PATTERN = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+
 
 @functools.cache
 def permitted_units_text() -> str:
-    """List of all permitted units for a message; the unit of a pure number is the empty text."""
+    """Text with all permitted units, for messages."""
     return f"{', '.join(filter(None, SI_PER_UNIT))}, or '' for a number without a unit"
 
 
@@ -130,7 +130,7 @@ def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
 
 
 def unit_of_key(key_name: str) -> str:
-    """Unit that the name of a key contains, such as `mm` for `x_mm`; empty for a key without a unit."""
+    """Unit that the name of a key contains, such as `mm` for `x_mm`; empty text for a key without a unit."""
     for ending, name in UNIT_BY_KEY_ENDING.items():
         if key_name.endswith(ending):
             return name

@@ -41,7 +41,8 @@ class EffectDistribution:
     parameter_means: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     parameter_sigmas: Floats
-    """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
+    """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a parameter that is not
+    drawn."""
     occurrence_number: int = 1
     """Number of this effect, from 1, among the scenario's entries with the same effect, stations and targets."""
 
@@ -77,7 +78,7 @@ class StandardNormalSource:
     """Generator of standard normal numbers for trials of one seed, with an independent random stream per purpose."""
 
     seed: int
-    """Root seed of the campaign or recording."""
+    """Seed of the campaign or recording, from which all random streams start."""
     trial_numbers: Ints
     """Numbers of the trials in the campaign, shape (trials,)."""
 
@@ -137,7 +138,7 @@ class TrialDistributions:
     instrument_error_means: Floats
     """Means of the instrument errors, shape (instruments, parameters) [SI]."""
     instrument_error_sigmas: Floats
-    """Standard deviations of the normally distributed instrument errors, shape (instruments, parameters) [SI]."""
+    """Standard deviations of the (normally distributed) instrument errors, shape (instruments, parameters) [SI]."""
     noise_sigmas: Floats
     """Standard deviations of the readings before the scenario's effects change the noise, (pointings, 3) [m, rad, rad].
     """
@@ -146,7 +147,7 @@ class TrialDistributions:
     length_end_names: tuple[str, ...]
     """Names of all targets; the indices of the targets at the ends of a reference length refer to this list."""
     effects: tuple[EffectDistribution, ...] = ()
-    """Effects with the distributions of their parameters."""
+    """Effects of the scenario with the distributions of their parameters."""
     certificate_error_factor: float = 1.0
     """Ratio of the true to the declared standard deviation of certified lengths."""
 
@@ -221,7 +222,7 @@ class TrialDistributions:
     def _sigmas_with_noise_effects(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
         """Standard deviations of the readings in one trial with effects on the noise, (pointings, 3) [m, rad, rad].
 
-        `noise_effects` holds pairs of an effect and its parameters, shape (parameters,) [SI].
+        `noise_effects` holds pairs of an effect on the noise and its parameters, shape (parameters,) [SI].
         """
         sigma = self.noise_sigmas
         for effect, amount in noise_effects:
@@ -232,7 +233,7 @@ class TrialDistributions:
         return sigma
 
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
-        """Certified lengths (lengths, trials) [m], computed with the true expansion coefficient and temperature."""
+        """Drawn certified lengths (lengths, trials) [m], with the true expansion coefficient and temperature."""
         lengths = self.reference_lengths
         expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trial_numbers), axis=1)
         for name, change in lengths.shared_error_changes.items():

@@ -25,7 +25,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certified_reference_lengths
 
 INJECTION_FORMAT = "ltsim-injection/1"
-"""Format and version of a truth file of injections."""
+"""Format and version of a file with the true values of injections."""
 NONCENTRALITY_TOLERANCE = 1e-4
 """Largest relative difference between the noncentrality of a scaled effect and the requested noncentrality, at which
 the scaling ends."""
@@ -78,7 +78,7 @@ class InjectedEffect(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the effect in a truth file of injections."""
+        """Entry of the effect in a file with the true values of injections."""
         cause = self.effect
         shape = constants_in_display_units(cause) if isinstance(cause, Effect) else {}
         return {
@@ -103,7 +103,7 @@ class InjectionTruth(Result):
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
-        """Content of a truth file of injections."""
+        """Content of a file with the true values of injections."""
         return {
             "format": INJECTION_FORMAT,
             "seed": self.seed,
@@ -166,7 +166,7 @@ class DetectionCurve(Result):
 
 @dataclass(frozen=True, eq=False)
 class Injector:
-    """Recording with its adjustment, into which effects are injected."""
+    """Injector of effects into a recording, with the adjustment of the recording."""
 
     recording: Recording
     """Recording before the injection."""

@@ -26,7 +26,7 @@ MAX_LISTED_HIDDEN_PAIRS = 20
 """Largest number of pairs of station and target without a line of sight that are listed individually; more pairs are
 only counted."""
 MIN_HEIGHT_LEVEL_SEPARATION = 0.5
-"""Smallest height difference [m] at which two targets belong to different height levels."""
+"""Smallest gap [m] between the heights of targets that separates two height levels."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def _target_order(
 
 
 def _height_levels(heights: Floats) -> Floats:
-    """Number of the height level of each target, counted from the highest level, shape (targets,)."""
+    """Number of the height level of each target, shape (targets,); 0 is the highest level."""
     down = np.argsort(-heights, kind="stable")
     steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_HEIGHT_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))

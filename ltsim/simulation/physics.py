@@ -53,7 +53,7 @@ def _tracker_error_distribution(
 ) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI].
 
-    `tracker_name` is the name of the tracker, for messages.
+    `tracker_name` is used in messages only.
     """
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:

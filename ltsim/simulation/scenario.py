@@ -65,11 +65,11 @@ class Scenario(TomlSection, Result):
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
-    """Standard deviations of the true positions from the planned ones."""
+    """Standard deviations of true minus planned positions."""
     instrument: ScenarioInstrument = ScenarioInstrument()
-    """Tracker of all stations that name no other tracker."""
+    """Tracker of all stations that name no tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Several trackers by name, tables `[instruments.NAME]`; all have the same instrument model."""
+    """Trackers with names, tables `[instruments.NAME]`, which stations refer to; all have the same instrument model."""
     smr: Smr = Smr()
     """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
@@ -83,7 +83,7 @@ class Scenario(TomlSection, Result):
     work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
-    """Gauge, a rigid frame whose lengths between reflectors are reference lengths."""
+    """Gauge, a rigid frame of reflectors at known distances (reference lengths); None for a scenario without gauge."""
     materials: dict[str, Material] = Field(default_factory=dict)
     """Materials of reference lengths, tables `[materials.NAME]`; their true expansion coefficients are drawn."""
     lengths: tuple[ReferenceLengthEntry, ...] = ()

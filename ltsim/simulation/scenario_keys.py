@@ -1,4 +1,4 @@
-"""Dotted keys of a scenario, such as `work.faces`: types and units of values, and conversion of values with a unit."""
+"""Dotted keys of a scenario, such as `work.faces`: types and units of their values, and conversion of units."""
 
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ def value_type_of_key(dotted_key: str) -> ValueType:
 
 
 def key_description(dotted_key: str) -> str:
-    """Description of a dotted key from the scenario's documentation; empty for a key with a user-defined name."""
+    """Description of a dotted key, from the scenario's docstrings; empty for a key with a user-defined name."""
     nodes = (node for node, _ in schemas_at(Scenario, dotted_key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 

@@ -100,7 +100,7 @@ class Workshop(TomlSection):
     temperature_c: Celsius = 20.0
     """Temperature of the air at the start of the recording."""
     temperature_rise_c_per_h: Finite = 0.0
-    """Rate at which the temperature of the air rises."""
+    """Rate [deg C per hour] at which the temperature of the air rises."""
     pressure_hpa: Annotated[float, Field(ge=300, le=1200)] = 1013.2
     """Pressure of the air."""
     humidity_pct: Percentage = 50.0
@@ -262,7 +262,7 @@ class MeasurementProcedure(TomlSection):
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
     """Number of rounds at each station; each round points once at every target in each face."""
     seconds_per_pointing: Positive = 15.0
-    """Time from one pointing to the next."""
+    """Time from the start of a pointing to the start of the next."""
     minutes_per_move: NonNegative = 20.0
     """Time to move the instrument to the next station."""
 
@@ -286,14 +286,14 @@ class ScenarioGauge(TomlSection):
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
-    """Names of the reflectors of the gauge."""
+    """Names of the reflectors of the gauge (rigid frame of reflectors at known distances)."""
     table_reading_order: Literal["columns", "rows"] = "columns"
     """Order in which Table 2 of Sensors 2021, 21, 7479 is read, because the printed table is misaligned."""
     distance: tuple[GaugeLength, ...] = ()
     """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default the lengths of Sensors 2021, 21,
     7479."""
     position_mm: Vector
-    """Planned position of the centre of the gauge."""
+    """Planned position of the centre of the gauge in the hall."""
     yaw_deg: AngleDegrees = 0.0
     """Rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
     pitch_deg: AngleDegrees = 0.0
@@ -357,7 +357,7 @@ class PlannedTarget(TomlSection):
     nest_normal: Vector | None = None
     """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
-    """True if the reflector is turned towards each station; default by `smr.nest_orientation`."""
+    """True if the reflector is turned towards each station before it is measured; default by `smr.nest_orientation`."""
     reflector: str | None = None
     """Name of the SMR at this target, a table `[reflectors.NAME]`; default `smr.reflector`."""
 

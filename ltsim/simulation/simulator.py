@@ -132,7 +132,7 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
 def simulate_readings(
     geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], noise: Floats
 ) -> Floats:
-    """Raw readings with noise and rounding, shape (pointings, 3); NaN for observables that are not recorded.
+    """Raw readings with noise and rounding, shape (pointings, 3) [m, rad, rad]; NaN for observables not recorded.
 
     `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect, and `noise` (pointings, 3) [m, rad, rad] is added to the readings.
@@ -171,7 +171,7 @@ def occurring_blunders(effects: Sequence[Effect], effect_values: Sequence[Floats
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
-    """Notes on effects that change no reading, because the recording lacks a column, a time or a nest normal."""
+    """Notes on effects of the scenario that change no reading, for example because the recording has no times."""
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 

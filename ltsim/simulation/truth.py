@@ -38,7 +38,7 @@ TRUE_POINTS_TABLE = Table(
 
 @dataclass(frozen=True)
 class AppliedEffect(ValueEquality):
-    """Effect that a simulation applied, with the true values of its parameters."""
+    """Effect that was applied in a simulation, with the true values of its parameters."""
 
     effect: Effect
     """Effect of the catalogue, with the stations and targets where it acts."""
@@ -95,7 +95,7 @@ class TrueParameterValue(Entry):
 
     @property
     def si_value(self) -> float:
-        """True value [SI]."""
+        """True value of the parameter in SI units."""
         return self.value * SI_PER_UNIT[self.unit]
 
 
