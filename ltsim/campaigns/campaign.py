@@ -202,7 +202,8 @@ def _extended_campaign(
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
     """Content and cells of a campaign in a folder, after the additions of the campaign file.
 
-    Existing cells keep their numbers. InputError is raised if the file would change existing rows.
+    Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
+    existing rows.
     """
     if not resume:
         raise InputError(

@@ -22,7 +22,7 @@ ModelType = TypeVar("ModelType", bound=BaseModel)
 def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
     """Copy of `model`, a scenario or a table of one, that refers to the objects of `base` wherever values are equal.
 
-    The scenarios of thousands of cells then take little more memory than one scenario.
+    The scenarios of thousands of cells (combinations of factor levels) then take little more memory than one scenario.
     """
     shared_values = {}
     for name in type(model).model_fields:
@@ -42,7 +42,8 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
     """Check that the scenarios of all cells together have at most `MAX_MANIFEST_VALUES` values.
 
-    `scenario` is the base scenario of the `n_cells` cells. InputError names the campaign file `path`.
+    A cell is a combination of factor levels; `scenario` is the base scenario of the `n_cells` cells. InputError names
+    the campaign file `path`.
     """
     text = scenario.model_dump_json(by_alias=True)
     n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))

@@ -242,8 +242,8 @@ class CellEntry(Entry):
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in this cell (combination of factor levels), by dotted key."""
     digest: str = ""
-    """Digest of everything that determines the rows of the cell. The metadata of the cell's files of rows (shards)
-    contain it too."""
+    """Digest of everything that determines the rows of the cell (combination of factor levels). The metadata of its
+    files of rows (shards) contain it too."""
 
 
 FACTORS_TABLE = Table(

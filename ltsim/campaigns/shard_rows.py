@@ -61,7 +61,7 @@ the kinematic chain."""
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker process: computation of one shard, a file with rows of trials of one cell.
+    """Task of a worker process: computation of one shard, a file with rows of trials for one cell.
 
     A cell is a combination of factor levels.
     """
@@ -85,7 +85,7 @@ class ShardTask:
 
     @property
     def shard_metadata(self) -> dict[str, str]:
-        """Metadata of the file of rows (shard): digest of the cell, indices of cell and shard, and statistics."""
+        """Metadata of the file of rows (shard): digest of its combination of factor levels, indices, statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
             "campaign": self.cell_digest,
@@ -193,7 +193,7 @@ class CellContext:
     def _trial_geometries(self, trials: range) -> dict[int, TrueNetwork]:
         """True network geometry of each trial by its number, without trials whose geometry is impossible.
 
-        All geometries have the set-up of the geometry that trials of the cell share otherwise.
+        All have the set-up of the network geometry that the trials share if the campaign has no separate geometries.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
@@ -210,9 +210,10 @@ class CellContext:
 
 @lru_cache(maxsize=1)
 def load_cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Common quantities of the trials of a cell, from campaign file, scenario and validation scenario as JSON texts.
+    """Common quantities of the trials of a cell (combination of factor levels), from JSON texts of its input.
 
-    The last result is cached, because a worker process computes many shards of the same cell one after the other.
+    The last result is cached, because a worker process computes many files of rows of the same cell one after the
+    other.
     """
     validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
     return CellContext(

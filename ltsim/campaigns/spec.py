@@ -99,7 +99,7 @@ class StoppingRule(TomlSection):
     """Statistic whose mean has to be precise: a column of the rows, or an improvement of the agreement of stations [%].
     """
     max_half_width: Positive
-    """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the unit of the statistic."""
+    """Half-width of the 95 % confidence interval at which a cell (combination of factor levels) stops."""
 
 
 class CampaignFile(TomlSection):
@@ -126,8 +126,8 @@ class CampaignFile(TomlSection):
     trials_per_shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
     """Number of trials in each output file (shard). If a process is killed, its unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
-    """True positions of stations and targets: the same for all trials of a cell (`shared`), or drawn for each trial
-    (`per-trial`)."""
+    """True positions of stations and targets: equal for all trials with equal factor levels (`shared`), or drawn for
+    each trial (`per-trial`)."""
     verified_trials_per_shard: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
@@ -135,7 +135,7 @@ class CampaignFile(TomlSection):
     validation_points: str = ""
     """Held-out points, which the instruments of each trial measure but no calibration uses. Name of a scenario
     (built-in, or a file in the folder of this one), or of a table of points (`target,x_mm,y_mm,z_mm` in a file
-    `NAME.csv`) that are measured from the stations of the cell."""
+    `NAME.csv`) that are measured from the stations of the trial."""
     validation_drift: Annotated[float, Field(ge=0)] = 0.0
     """Standard deviation of a random drift of the instrument parameters (except the range scale) between calibration
     and measurement of the held-out points, as a fraction of the prior standard deviations."""
@@ -147,7 +147,7 @@ class CampaignFile(TomlSection):
     """Groups of keys that always take the same value, by a name for the group, which is also the name of their column.
     """
     grid: dict[str, list[Any]] = Field(default_factory=dict)
-    """Lists of levels by dotted key; each combination of these levels is a cell."""
+    """Lists of levels by dotted key; each combination of these factor levels is a cell of the campaign."""
     design: SpaceFillingDesign | None = None
     """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
@@ -209,17 +209,17 @@ class CampaignFile(TomlSection):
 
     @property
     def n_shards_per_cell(self) -> int:
-        """Number of files of rows (shards) of each cell."""
+        """Number of files of rows (shards) of each cell (combination of factor levels)."""
         return number_of_shards(self.trials, self.trials_per_shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys, and names in `linked_keys`, whose values differ between cells, in file order."""
+        """Dotted keys, and names in `linked_keys`, that are factors of the campaign, in file order."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors of the campaign; `scenario` is the scenario of any cell, for units and types.
+        """Factors of the campaign, with units and types from the scenario of any combination of factor levels.
 
         If a table and the key `title` vary together, the title represents the table.
         """
@@ -239,7 +239,7 @@ class CampaignFile(TomlSection):
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
     def scenario_changes_of_cells(self) -> Iterator[dict[str, Any]]:
-        """Values that replace those of the base scenario in each cell, by dotted key."""
+        """Values, by dotted key, that replace those of the base scenario in each combination of factor levels."""
         first_key_by_name = {name: self.linked_keys.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
@@ -255,10 +255,10 @@ class CampaignFile(TomlSection):
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[CampaignFile, tuple[Scenario, ...]]:
-    """Campaign of a file, or of `tables` in place of a file, and the scenario of each cell.
+    """Campaign of a file (or of `tables` in place of a file), and the scenario of each cell.
 
-    `changes` are new values of keys of the file (such as `trials`), or of dotted keys of the scenario in all cells.
-    InputError is raised for an invalid file.
+    A cell is a combination of factor levels. `changes` are new values of keys of the file (such as `trials`), or of
+    dotted keys of the scenario in all cells. InputError is raised for an invalid file.
     """
     if tables is None and (path / ManifestFile.FILE).is_file():
         raise InputError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
@@ -283,7 +283,7 @@ def load_campaign(
 
 
 def campaign_with_changes(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
-    """Campaign with new values of its own keys, or of dotted keys of the scenario in all cells; errors name `path`."""
+    """Campaign with new values of its own keys, or of dotted keys of all its scenarios; errors name `path`."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
@@ -312,8 +312,8 @@ class CampaignCell:
     levels: dict[str, Any]
     """Level of each factor, by the factor's name."""
     digest: str
-    """Digest of everything that determines the rows of the cell, except the number of rows and the selected statistics.
-    """
+    """Digest of everything that determines the rows of the cell (combination of factor levels), except the number of
+    rows and the selected statistics."""
 
     def manifest_entry(self, cell_index: int, factors: Sequence[Factor]) -> CellEntry:
         """Entry of the cell (combination of factor levels) in `manifest.json`."""
@@ -324,7 +324,7 @@ class CampaignCell:
 def make_campaign_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors of a campaign, and its cells; raises InputError for a cell without a valid scenario."""
+    """Factors of a campaign, and its cells (combinations of factor levels); InputError for an invalid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "trials_per_shard", "geometry", "verified_trials_per_shard", "methods", "validation_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
@@ -340,7 +340,7 @@ def make_campaign_cells(
 
 
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
-    """Scenario of the held-out points of `validation_points`, with the instruments of a cell's scenario.
+    """Scenario of the held-out points of `validation_points`, with the instruments of `scenario`.
 
     `name` is the value of `validation_points`, and `path` the campaign file. InputError is raised for an invalid name.
     """

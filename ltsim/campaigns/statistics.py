@@ -122,13 +122,13 @@ class CampaignStatistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that the manifest contains the cells and methods of all rows; raises ValueError."""
+        """Check that the manifest contains the factor levels (cells) and methods of all rows; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"it has rows of cell {cell} by {method}, which are not in {ManifestFile.FILE}")
 
     def _create_cells_table(self) -> None:
-        """Creation of the table `cells` with the column types of the table `rows`.
+        """Creation of the table `cells` (combinations of factor levels), with column types as in the table `rows`.
 
         It uses plain SQL instead of Arrow, which would import pandas.
         """
@@ -157,21 +157,21 @@ class CampaignStatistics:
         }
 
     def _summary(self) -> Table:
-        """Table `summary.csv`: all statistics for each cell and method."""
+        """Table `summary.csv`: all statistics for each cell (combination of factor levels) and method."""
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
         summary_rows = self._with_factor_levels(self.summary().columns)
         return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
 
     def _rows(self) -> ColumnValues:
-        """All rows as columns, ordered by cell, method and trial."""
+        """All rows as columns, ordered by cell (combination of factor levels), method and trial."""
         with _interruptible():
             rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_factor_levels(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
-        """Entries (one per cell and method) as mappings, with the levels of the factors added."""
+        """Entries (one per combination of factor levels and method) as mappings, with these levels added."""
         entry_rows = [entry.model_dump(mode="json") for entry in entries]
         return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
 
@@ -209,7 +209,10 @@ class CampaignStatistics:
         return student_t_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def statistic_summaries(self, column: str) -> list[StatisticSummary]:
-        """Mean with confidence interval, standard deviation and quantiles of a column, by cell and method."""
+        """Mean with confidence interval, standard deviation and quantiles of a column.
+
+        There is one summary for each cell (combination of factor levels) and method.
+        """
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
@@ -245,7 +248,7 @@ class CampaignStatistics:
     def _query_each_cell(
         self, expressions: str, condition: str = "true", row_selection: str = "rows"
     ) -> list[tuple[Any, ...]]:
-        """Result of an SQL query with the given expressions, one row for each cell and method."""
+        """Result of an SQL query with the given expressions, one row per combination of factor levels and method."""
         sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a report needs the same query for its figures and its tables
@@ -253,7 +256,10 @@ class CampaignStatistics:
         return self._cache[sql]
 
     def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
-        """Ratio of two means over all trials by cell and method, with its confidence interval by the delta method."""
+        """Ratio of two means over all trials, with its confidence interval by the delta method.
+
+        There is one ratio for each cell (combination of factor levels) and method.
+        """
         gained, correctable = statistic_sql_expressions(column)
         row_selection = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
@@ -272,12 +278,18 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (trials,) of a column for one cell and method, in the first `max_trials` trials."""
+        """Finite values (trials,) of a column for one cell and method, in the first `max_trials` trials.
+
+        `cell` is the index of the combination of factor levels.
+        """
         name = self._sql_column(column)
         return self.sql_expression_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def sql_expression_values(self, sql_expressions: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (expressions, trials) of SQL expressions in the rows of a cell and method that satisfy `condition`."""
+        """Values (expressions, trials) of SQL expressions in the rows of a cell and method that satisfy `condition`.
+
+        `cell` is the index of the combination of factor levels.
+        """
         word = method.replace("'", "''")
         query_rows = self.query(
             f"SELECT {', '.join(sql_expressions)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' "
@@ -286,7 +298,10 @@ class CampaignStatistics:
         return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(sql_expressions)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
-        """Mean, standard deviation and coverage of the z-scores of each parameter, by cell and method."""
+        """Mean, standard deviation and coverage of the z-scores of each parameter.
+
+        There is one summary for each cell (combination of factor levels) and method.
+        """
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._sql_column(column), column.removeprefix("z:")
@@ -297,7 +312,10 @@ class CampaignStatistics:
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
-        """Numbers of trials by solver, and largest difference between the solvers, by cell and method."""
+        """Numbers of trials by solver, and largest difference between the solvers.
+
+        There is one comparison for each cell (combination of factor levels) and method.
+        """
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
         query_rows = self._query_each_cell(
             f"count(*), {ended}, count({SOLVER_DIFFERENCE_COLUMN}), max({SOLVER_DIFFERENCE_COLUMN})"

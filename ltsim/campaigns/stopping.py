@@ -28,8 +28,8 @@ ROUND_GROWTH_FACTOR = 1.5
 MIN_TRIALS_BEFORE_STOP = 64
 """Smallest number of trials before the first evaluation of a cell (combination of factor levels)."""
 INTERVAL_ERROR_RATE = 0.05
-"""Probability that at least one of the confidence intervals of a cell does not contain the mean. Without adaptive
-stopping, a cell has one interval."""
+"""Probability that at least one of the confidence intervals of a cell (combination of factor levels) does not contain
+the mean. Without adaptive stopping, a cell has one interval."""
 ShardKey = tuple[int, int]
 """Index of a cell (combination of factor levels), and index of a file of rows (shard) in it, both from 0."""
 
@@ -45,8 +45,9 @@ def student_t_quantile(n_values: int, error_rate: float) -> float:
 def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) -> float:
     """Error rate of each confidence interval of a cell, so that all its intervals together have `INTERVAL_ERROR_RATE`.
 
-    `n_trials` is the largest number of trials of a cell, `shard_size` the number of trials in a file of rows (shard).
-    With `is_stopping`, the campaign has a stopping rule and therefore several intervals per cell.
+    A cell is a combination of factor levels, `n_trials` is its largest number of trials, and `shard_size` is the number
+    of trials in a file of rows (shard). With `is_stopping`, the campaign has a stopping rule and therefore several
+    intervals per cell.
     """
     return (
         INTERVAL_ERROR_RATE / len(stopping_evaluation_schedule(n_trials, shard_size))
@@ -56,7 +57,10 @@ def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) ->
 
 
 def stopping_evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
-    """Numbers of finished files of `shard_size` trials after which a cell of `n_trials` trials is evaluated."""
+    """Numbers of finished files of rows after which a cell (combination of factor levels) is evaluated.
+
+    The cell has `n_trials` trials, each file has `shard_size` trials.
+    """
     n_shards = number_of_shards(n_trials, shard_size)
     schedule = [min(number_of_shards(MIN_TRIALS_BEFORE_STOP, shard_size), n_shards)]
     while schedule[-1] < n_shards:
@@ -70,8 +74,8 @@ def iterate_stopping_rounds(
     """Lists of the files of rows (shards) that each round computes, round by round.
 
     A round begins when all shards of the previous round are finished. `interval_half_widths` is a function of a
-    statistic and the number of finished shards per cell; it returns the half-width of the confidence interval of the
-    mean, by cell and method.
+    statistic and the number of finished shards per cell (combination of factor levels). It returns the half-width of
+    the confidence interval of the mean, by cell and method.
     """
     if (stop := campaign.stop) is None:
         yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]

@@ -1,13 +1,13 @@
-"""Folder of a campaign: a manifest and shards of rows, written so that no finished shard can be lost.
+"""Folder of a campaign: a manifest and files of rows (shards), written so that no finished shard can be lost.
 
     manifest.json                          settings, seed, versions, commit; written before the first row
     campaign.toml                          copy of the campaign file
-    rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one cell, all methods
+    rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one combination of factor levels (cell)
     rows.sha256                            digest of each shard, as `sha256sum --check` reads it
 
 A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend only on
-settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed after it
-wrote the shard and before it wrote the digest; then the reader checks the checksums of the Parquet pages and the
+settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed between
+writing the shard and writing its digest. In this case the reader checks the checksums of the Parquet pages and the
 metadata.
 """
 
@@ -109,11 +109,14 @@ class CampaignFolder:
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Path of the file of rows (shard) number `shard` of the cell number `cell`, both from 0."""
+        """Path of file of rows (shard) number `shard`, from 0, of a cell.
+
+        `cell` is the index, from 0, of the combination of factor levels.
+        """
         return self.folder / ROWS_FOLDER_NAME / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished files of rows (shards) in order, at most the first `max_shards` of each cell."""
+        """Paths of the finished files of rows (shards), the first `max_shards` per combination of factor levels."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
@@ -129,8 +132,8 @@ class CampaignFolder:
     def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that files of rows (shards) are unchanged since they were written, and are in the folder of their cell.
 
-        `cell_digests` holds the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is
-        raised for a damaged shard.
+        `cell_digests` holds the digest of each cell (combination of factor levels) by its number. OSError, ValueError
+        or pyarrow.ArrowException is raised for a damaged shard.
         """
         digests = self.recorded_shard_digests()
         for path in shards:

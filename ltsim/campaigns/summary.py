@@ -1,4 +1,4 @@
-"""Summary of a campaign: statistics for each cell and method, as Python objects and as JSON."""
+"""Summary of a campaign: statistics for each combination of factor levels and method, as objects and as JSON."""
 
 import math
 from typing import Annotated, Literal
