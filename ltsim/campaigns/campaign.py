@@ -35,7 +35,7 @@ from ltsim.campaigns.spec import (
     read_cad_bytes,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
-from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
+from ltsim.campaigns.stopping import CellAndShardIndex, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE_NAME, CampaignFolder, interruption_error
 from ltsim.campaigns.true_network import make_campaign_geometry
 from ltsim.core.arguments import check_argument_bounds, check_argument_choice
@@ -321,7 +321,7 @@ def _pending_tasks_and_notes(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
-    shard_keys: list[ShardKey],
+    shard_keys: list[CellAndShardIndex],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
     """Tasks for the shards of `shard_keys` that are missing or incomplete, and notes on damaged shards.

@@ -54,7 +54,7 @@ _ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
 """Validator (pydantic) of the estimates of an external calibrator, by parameter name."""
 
 
-def split_command(command: str) -> list[str]:
+def split_calibrator_command(command: str) -> list[str]:
     """List of the words of a command; raises InputError for a command without {recording} or {out}."""
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
@@ -85,7 +85,7 @@ def run_external_calibrator(
             return _validated_estimates(given)
         except RecordError as problem:
             raise CalibratorError(f"the calibrator's result for {trial_text} is not valid: {problem}") from None
-    words = split_command(calibrator)
+    words = split_calibrator_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
         write_recording(recording, folder)

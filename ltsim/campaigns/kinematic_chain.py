@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import GeometricErrorModel
 
-DERIVATIVE_STEP = 1e-4
+BASIS_DERIVATIVE_STEP = 1e-4
 """Step [m, rad] of the central difference for the derivative of a basis function; the derivative has a relative error
 of 1e-9."""
 
@@ -124,11 +124,11 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 
 def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
     """Derivative (parameters, pointings, 3) of each parameter's basis function by the readings, by differences."""
-    step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
+    step = BASIS_DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (
         construction.basis_values(shifted_readings)
         .T.reshape(construction.n_parameters, 2, 3, len(readings))
         .swapaxes(0, 1)
     )
-    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DERIVATIVE_STEP), 1, 2))
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * BASIS_DERIVATIVE_STEP), 1, 2))

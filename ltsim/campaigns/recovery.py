@@ -28,7 +28,7 @@ from pydantic import Field, PrivateAttr
 
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
-from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_calibrator_command
 from ltsim.campaigns.recovery_checks import RECOVERY_CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
     CONVERGENCE_CHECK_NAME,
@@ -125,7 +125,7 @@ class Recovery(ResultFile):
 
     def _summary_lines(self) -> list[str]:
         return [
-            f"Recovery, errors {self.error_origin}: {self.trials} trials, {self.trials_with_result} with a result: "
+            f"Recovery (errors {self.error_origin}): {self.trials} trials, {self.trials_with_result} with a result; "
             f"{self.verdict_text()}",
             *self.unestimated_parameter_sentences(),
             *self.failure_sentences(),
@@ -273,7 +273,7 @@ def recover(
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise InputError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
     if isinstance(calibrator, str):
-        split_command(calibrator)
+        split_calibrator_command(calibrator)
     elif calibrator is not None:
         jobs = 1
     effects = effect_tuple(with_effects)

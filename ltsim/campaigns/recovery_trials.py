@@ -17,11 +17,11 @@ from ltsim.campaigns.recovery_checks import (
     NOMINAL_COVERAGE,
     RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
-    fixed_truth_checks,
+    fixed_true_value_checks,
+    mean_near_one_check,
     parameter_checks,
     tolerance_check,
     total_chi2_check,
-    unit_mean_check,
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
@@ -314,7 +314,7 @@ class RecoveryTrials(ValueEquality):
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
         if self.error_origin == "stated" and np.all(np.isfinite(z)):
-            mean, spread, coverage = fixed_truth_checks(name, z, alpha)
+            mean, spread, coverage = fixed_true_value_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # for ltsim's calibrator the standardised z-scores contain both
             checks.append(coverage)
         if self.tolerance_by_parameter:
@@ -336,5 +336,5 @@ class RecoveryTrials(ValueEquality):
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square_z") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(unit_mean_check(what, "mean squared error over variance", squares, alpha))
+                checks.append(mean_near_one_check(what, "mean squared error over variance", squares, alpha))
         return checks

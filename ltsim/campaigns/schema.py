@@ -168,8 +168,8 @@ ROWS_TABLE = Table(
     "rows/cell-*/shard-*.parquet",
     "one row per trial and method; the levels of the factors follow the number of the cell",
     (
-        *number_columns(cell="number"),
-        *text_columns(method="name"),
+        *number_columns(cell="number of the cell (combination of factor levels), from 0"),
+        *text_columns(method="name of the calibration method"),
         *number_columns(trial="number of the trial; `ltsim simulate --trial NUMBER` writes its recording"),
         *text_columns(status="converged, full solver (the batch solver did not converge), failed"),
         *RESULT_COLUMNS,
@@ -182,7 +182,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
     `factors` holds the type of the levels of each factor by its name.
     """
-    about = "level of the factor in the cell, in the unit of manifest.json"
+    about = "level of the factor, in the unit that manifest.json states"
     settings = [
         column
         for name, kind in factors.items()
@@ -192,9 +192,10 @@ def summary_table(factors: Mapping[str, str]) -> Table:
         SUMMARY_FILE_NAME,
         "every statistic over the trials of a combination of factor levels (cell) and a method, with these levels",
         (
-            *number_columns(cell="number"),
+            *number_columns(cell="number of the cell (combination of factor levels), from 0"),
             *settings,
-            *text_columns(method="name", column="column of the rows", unit="unit of the next columns except trials"),
+            *text_columns(method="name of the calibration method", column="name of the result column in the rows"),
+            *text_columns(unit="unit of all following columns except `trials`"),
             *number_columns(trials="trials with a value in this column"),
             *number_columns("r", mean="mean of these values", standard_deviation="standard deviation of these values"),
             *number_columns("r", low="lower 95 % confidence limit of the mean", high="upper 95 % confidence limit"),
@@ -248,25 +249,28 @@ class CellEntry(Entry):
 
 FACTORS_TABLE = Table(
     "varied.csv",
-    "factors: keys of the scenario whose values differ between cells",
-    text_columns(factor="title", values="levels", key="key of the scenario", meaning="meaning of the key"),
+    "factors: keys of the scenario whose values differ between cells (combinations of factor levels)",
+    text_columns(
+        factor="title of the factor", values="its levels", key="key of the scenario", meaning="meaning of the key"
+    ),
 )
 MEANS_BY_FACTOR_LEVEL_TABLE = Table(
     "levels.csv",
-    "means over the cells of each level",
+    "means of a statistic for each level of each factor",
     (
-        *text_columns(factor="title", level="value of the factor", method="name", statistic="name"),
-        *number_columns(
-            mean="mean over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"
-        ),
+        *text_columns(factor="title of the factor", level="level of the factor", method="name of the method"),
+        *text_columns(statistic="name of the statistic"),
+        *number_columns(mean="mean over all cells (combinations of factor levels) with this level"),
+        *number_columns(least_cell="smallest mean of such a cell", largest_cell="largest mean of such a cell"),
     ),
 )
 ERRORS_BEFORE_AND_AFTER_TABLE = Table(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (
-        *text_columns(setting="cell", method="name"),
-        *number_columns(raw_um="before", calibrated_um="after", noise_floor_um="with the true parameters"),
+        *text_columns(setting="factor levels of the cell", method="name of the method"),
+        *number_columns(raw_um="error before calibration", calibrated_um="error after calibration"),
+        *number_columns(noise_floor_um="error after correction by the true parameters"),
         *number_columns(share_removed="fraction of the correctable mean-square error that the calibration removes"),
     ),
 )
@@ -274,7 +278,7 @@ METHOD_DIFFERENCES_TABLE = Table(
     "methods.csv",
     "paired differences of an error between methods, with 95 % intervals",
     (
-        *text_columns(setting="cell", methods="first minus second method"),
+        *text_columns(setting="factor levels of the cell", methods="first minus second method"),
         *number_columns(
             display_format=".3g",
             difference_um="mean difference on the same random draws; positive if the second method has less error",

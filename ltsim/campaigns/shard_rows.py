@@ -41,7 +41,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.simulation.draws import StandardNormalSource
 from ltsim.simulation.physics import make_scenario_construction, scenario_effects
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import placing_stream_key
+from ltsim.simulation.simulator import position_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
 STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
@@ -199,7 +199,7 @@ class CellContext:
         for trial in trials:
             with suppress(InputError):
                 key, like = (
-                    placing_stream_key(trial, self.campaign.geometry),
+                    position_stream_key(trial, self.campaign.geometry),
                     self.shared_geometry_evaluator_and_calibrators[0].true_network,
                 )
                 geometries[trial] = make_true_network(
@@ -270,7 +270,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verified_trials_per_shard]
-        work = TrialBatchRows(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
+        work = TrialBatchRowBuilder(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -292,7 +292,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
 
 
 @dataclass(frozen=True)
-class TrialBatchRows:
+class TrialBatchRowBuilder:
     """Batch of drawn trials, from which the campaign rows of every method are computed."""
 
     campaign: CampaignFile

@@ -48,7 +48,7 @@ DATABASE_SETTINGS: dict[str, Any] = {
 MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
 are approximated (t-digest)."""
-IMPROVED_CRITERIA = ("distance", "coordinate")
+CRITERIA_WITH_REPORTED_IMPROVEMENT = ("distance", "coordinate")
 """Criteria of the disagreement between stations (in distances, in coordinates) whose reduction [%] by the calibration
 is reported."""
 
@@ -354,7 +354,7 @@ def _interruptible() -> Iterator[None]:
 def _column_units(schema: pa.Schema) -> dict[str, str]:
     """Units by column name, from the metadata of a file of rows, also for the improvement columns that queries add."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
-    added = {f"{kind}_improvement_percent": "%" for kind in IMPROVED_CRITERIA}
+    added = {f"{kind}_improvement_percent": "%" for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
@@ -362,7 +362,7 @@ def _improvement_sql(names: list[str]) -> str:
     """SQL expressions of the improvement by calibration [%], for the criteria whose columns are in `names`."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
-        for kind in IMPROVED_CRITERIA
+        for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT
         if {f"{kind}_after_mean_um", f"{kind}_before_mean_um"} <= set(names)
     ]
     return "".join(added)

@@ -30,7 +30,7 @@ MIN_TRIALS_BEFORE_STOP = 64
 INTERVAL_ERROR_RATE = 0.05
 """Probability that at least one of the confidence intervals of a cell (combination of factor levels) does not contain
 the mean. Without adaptive stopping, a cell has one interval."""
-ShardKey = tuple[int, int]
+CellAndShardIndex = tuple[int, int]
 """Index of a cell (combination of factor levels), and index of a file of rows (shard) in it, both from 0."""
 
 
@@ -70,7 +70,7 @@ def stopping_evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
 
 def iterate_stopping_rounds(
     campaign: CampaignFile, n_cells: int, interval_half_widths: Callable[[str, int], Mapping[tuple[int, str], float]]
-) -> Iterator[list[ShardKey]]:
+) -> Iterator[list[CellAndShardIndex]]:
     """Lists of the files of rows (shards) that each round computes, round by round.
 
     A round begins when all shards of the previous round are finished. `interval_half_widths` is a function of a

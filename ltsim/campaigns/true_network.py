@@ -39,7 +39,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
 from ltsim.simulation.workshop import WorkshopLayout
 
-FULL_TURN = 2 * np.pi
+FULL_TURN_RAD = 2 * np.pi
 """Full turn [rad]."""
 MAX_EFFECT_NONLINEARITY_SIGMAS = 1e-3
 """Largest nonlinearity at which the linear form of an effect is used for all trials. It is the difference between exact
@@ -267,7 +267,7 @@ class TrueNetwork:
                 simulate_readings(self.geometry, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])
                 - nominal
             )
-            gap[:, 1] -= FULL_TURN * np.round(gap[:, 1] / FULL_TURN) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN)
+            gap[:, 1] -= FULL_TURN_RAD * np.round(gap[:, 1] / FULL_TURN_RAD) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN_RAD)
             parts.append(np.where(self.is_recorded_observable, gap, 0.0))
         return np.stack(parts, axis=2)
 
@@ -309,7 +309,7 @@ class TrueNetwork:
     def trial_readings(self, trial_batch: TrialBatch, trial: int) -> Floats:
         """Readings (pointings, 3) [m, rad, rad] of one trial of a batch, with azimuths within +-180 degrees."""
         readings: Floats = self.recording.readings + trial_batch.reading_deviations[:, :, trial]
-        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
+        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN_RAD, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.is_recorded_observable] = np.nan
         return readings
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.core.arguments import check_mapping_argument, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import InputError
 
@@ -76,7 +76,7 @@ def campaign(
         method  trials  failed_trials
     0  network      64              0
     """
-    require_packages()
+    require_campaign_packages()
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
     from ltsim.campaigns.store import MANIFEST_FILE_NAME

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
@@ -70,7 +70,7 @@ def campaign(
         return 0
     if file is None:
         raise InputError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
-    require_packages()
+    require_campaign_packages()
     # Slow imports, which no other command should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults

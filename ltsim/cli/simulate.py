@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
@@ -239,7 +239,7 @@ def demo(
 
     Example: ltsim demo --out ltsim-demo
     """
-    require_packages()
+    require_campaign_packages()
     for name, output_rule in DEMO_OUTPUTS.items():
         path_in_folder(out, name)
         output_rule.check(out / name, True)

@@ -63,7 +63,7 @@ def make_measurement_geometry(
     InputError is raised if a station sees no target, a CAD file is damaged, or an effect does not exist. It is also
     raised if a nest without a declared normal holds an SMR whose radius differs from the reference radius.
     """
-    layout = draw_layout(scenario, seed, *stream_key, plan=plan)
+    layout = draw_true_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
@@ -80,7 +80,7 @@ def make_measurement_geometry(
     )
 
 
-def draw_layout(
+def draw_true_layout(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> WorkshopLayout:
     """True poses of stations and positions of targets: the plan with random deviations from the table `[placing]`.

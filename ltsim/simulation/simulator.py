@@ -50,10 +50,10 @@ def simulate(
     `geometry` selects true positions that all trials share, or a separate draw for each trial. InputError is raised for
     an impossible scenario.
     """
-    return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
+    return measure_trial(make_measurement_geometry(scenario, seed, *position_stream_key(trial, geometry)), seed, trial)
 
 
-def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
+def position_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
     """Key of the random stream for true positions: one key for all trials (`shared`) or one per trial."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
@@ -182,7 +182,7 @@ def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths
             continue
         if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, geometry.sightings.target_points)):
             continue
-        yield f"{effect.name} changes no reading here"
+        yield f"{effect.name} changes no reading of this recording"
 
 
 def _declared_setup(geometry: MeasurementGeometry) -> Setup:
