@@ -65,6 +65,6 @@ def room(stations: int, targets: int) -> TrueNetwork:
         instrument_error_sigmas=sigma,
         noise_sigmas=recording.sigma(),
         reference_lengths=ReferenceLengths.from_recording(recording),
-        length_end_names=names,
+        length_target_names=names,
     )
     return TrueNetwork(recording, state, population)

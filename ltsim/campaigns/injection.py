@@ -46,7 +46,7 @@ def inject(
     noncentrality: float | None = None,
     seed: int = 0,
 ) -> RecordingWithInjection:
-    """Recording in which effects change the readings by their exact model; everything else is unchanged.
+    """Recording into which effects are injected: they change the readings by their exact model, and nothing else.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def inject(
         Measured or simulated recording.
     *causes : str or Effect
         Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as for `calibrate` (``RESPONSE ~
-        REGRESSOR``). WHERE lists stations, targets, and values of constants and parameters in their units
-        (``range-step:S3,range-step=30``); a law has ``size=VALUE`` (rms change, um or urad). Stations, targets,
-        constants and sizes that are not given are drawn. Vectors are in the axes of the recording's adjustment.
+        REGRESSOR``). WHERE lists stations, targets, and values of shape parameters and other parameters in their units
+        (``range-step:S3,range-step=30``). A law has ``size=VALUE`` (rms change, um or urad). Everything that is not
+        given is drawn. Vectors are in the axes of the recording's adjustment.
     noncentrality : float, optional
-        Noncentrality to which the size of each effect is scaled: weighted sum of squares of the part of the effect that
-        remains in the residuals.
+        Noncentrality to which each effect is scaled: weighted sum of squares of the part of the effect that remains in
+        the residuals. By default the effects are not scaled.
     seed : int
         Seed of all random draws.
 

@@ -219,7 +219,7 @@ def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
     return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
-def mean_near_one_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
+def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
     """Check that `trial_values` (trials,), whose expectation is one, have a mean near one.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor

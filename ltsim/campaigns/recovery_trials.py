@@ -18,10 +18,10 @@ from ltsim.campaigns.recovery_checks import (
     RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
     fixed_true_value_checks,
-    mean_near_one_check,
     parameter_checks,
     tolerance_check,
     total_chi2_check,
+    unit_mean_check,
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
@@ -336,5 +336,5 @@ class RecoveryTrials(ValueEquality):
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square_z") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(mean_near_one_check(what, "mean squared error over variance", squares, alpha))
+                checks.append(unit_mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

@@ -144,8 +144,8 @@ class TrialDistributions:
     """
     reference_lengths: ReferenceLengths
     """True reference lengths, with the standard deviations of their certificates."""
-    length_end_names: tuple[str, ...]
-    """Names of all targets; the indices of the targets at the ends of a reference length refer to this list."""
+    length_target_names: tuple[str, ...]
+    """Names of the targets to which the indices of the ends of the reference lengths refer."""
     effects: tuple[EffectDistribution, ...] = ()
     """Effects of the scenario with the distributions of their parameters."""
     certificate_error_factor: float = 1.0
@@ -242,7 +242,7 @@ class TrialDistributions:
             )
         true_lengths = lengths.lengths[:, None] + self.reference_length_change(effect_values)
         draws = [
-            normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
+            normal_source(1, "cmm", self.length_target_names[a], self.length_target_names[b])
             for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
         unit_errors = np.reshape(draws, expansion_factors.shape)

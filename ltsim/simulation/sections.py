@@ -191,7 +191,7 @@ class ScenarioInstrument(TomlSection):
     """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the errors not given here.
     """
     error_factor: NonNegative = 1.0
-    """Factor by which the true errors are drawn with larger standard deviations than those of `prior`."""
+    """Factor on the standard deviations of `prior` with which the true errors are drawn."""
     prior_factor: Positive = 1.0
     """Factor on the standard deviations of `prior` as the recording declares them; another value than 1 is a wrong
     prior."""

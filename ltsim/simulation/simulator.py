@@ -123,7 +123,7 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
         instrument_error_sigmas=sigma,
         noise_sigmas=true_noise_sigmas(scenario, geometry.sightings),
         reference_lengths=ReferenceLengths.from_recording(error_free_recording),
-        length_end_names=error_free_recording.targets,
+        length_target_names=error_free_recording.targets,
         effects=effect_distributions(scenario, geometry.effects),
         certificate_error_factor=scenario.cmm.noise_factor,
     )

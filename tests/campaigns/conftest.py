@@ -49,7 +49,7 @@ def truth_of(
         instrument_error_sigmas=scale * sigma,
         noise_sigmas=recording.sigma(),
         reference_lengths=ReferenceLengths.from_recording(recording),
-        length_end_names=recording.targets,
+        length_target_names=recording.targets,
         effects=effects,
     )
     return TrueNetwork(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))

@@ -12,7 +12,7 @@ from scipy import stats
 import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, mean_near_one_check, parameter_checks
+from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, parameter_checks, unit_mean_check
 from ltsim.campaigns.recovery_trials import (
     RecoverySettings,
     RecoveryTrials,
@@ -192,11 +192,11 @@ def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> 
 
 def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
     values = 1.0 + 0.3 * np.random.default_rng(0).standard_normal(40)
-    right = mean_near_one_check("targets", "mean", values, 1e-3)
+    right = unit_mean_check("targets", "mean", values, 1e-3)
     assert right.passed
-    assert mean_near_one_check("targets", "mean", 100 * values, 1e-3).upper_limit == pytest.approx(right.upper_limit)
+    assert unit_mean_check("targets", "mean", 100 * values, 1e-3).upper_limit == pytest.approx(right.upper_limit)
     values[:4] = 500.0
-    assert mean_near_one_check("targets", "mean", values, 1e-3).upper_limit < right.upper_limit + 0.15
+    assert unit_mean_check("targets", "mean", values, 1e-3).upper_limit < right.upper_limit + 0.15
 
 
 def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
@@ -230,7 +230,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
     )
     failures = recovery(good, good, None).failed_checks()
     assert failures[0].subject == "convergence"
-    assert not mean_near_one_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
+    assert not unit_mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 
 
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
