@@ -160,7 +160,7 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
             write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:
             raise ModelError(
-                f"a {type(result_file).__name__} cannot be written; expected a recording, a calibration or another result"
+                f"a {type(result_file).__name__} cannot be written; expected a recording, a calibration or other result"
             )
 
 

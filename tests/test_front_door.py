@@ -129,7 +129,7 @@ def test_results_are_written_as_their_commands_do(recording, tmp_path: Path):
     lt.write(calibration, tmp_path / "calibration")
     assert len(lt.correct(recording, tmp_path / "calibration")) == len(recording)
     assert len(lt.history([tmp_path / "calibration", recording]).calibrations) == 2
-    with pytest.raises(ModelError, match="a dict has no files"):
+    with pytest.raises(ModelError, match="a dict cannot be written"):
         lt.write({}, tmp_path / "nothing")  # type: ignore[arg-type]
 
 
