@@ -59,6 +59,7 @@ class HeldOutPointErrors(Result):
         return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
+        """Rows of the table of errors [um], one for each calibration."""
         for name, error in self.errors_by_calibration.items():
             sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
             yield [name, *(size / MICROMETRE for size in sizes), error.removed_error_fraction]

@@ -261,7 +261,7 @@ class StackCalibrator(TrialCalibrator):
                     is_adjusted_observable=true_network.is_recorded_observable,
                 )
             )
-        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(networks))
+        network = StackedNetwork(stack.recording, stack.state, built, program, trial_networks=tuple(networks))
         try:
             fit = network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors)
         except InputError:
@@ -301,40 +301,40 @@ class StackedNetwork(BatchNetwork):
     The last axis of the arrays in `state` and `kinematic_chain` is the trial; `recording` belongs to the first trial.
     """
 
-    networks: tuple[BatchNetwork, ...] = ()
+    trial_networks: tuple[BatchNetwork, ...] = ()
     """Network of each trial."""
 
     @cached_property
     def problem(self) -> NetworkProblem:
         """Least-squares problem of the first trial, which defines the order of the unknowns."""
-        return self.networks[0].problem
+        return self.trial_networks[0].problem
 
     def gauss_newton_step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (unknowns, trials) for the negative gradients, with the normal matrix of each trial."""
         step = np.empty_like(gradient)
-        for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.networks):
+        for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.trial_networks):
             step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
         return step
 
     @cached_property
     def parameter_sigmas(self) -> Floats:
         """Standard deviation of the instrument parameters after adjustment, (instruments, parameters, trials) [SI]."""
-        return np.stack([part.parameter_sigmas for part in self.networks], axis=-1)
+        return np.stack([part.parameter_sigmas for part in self.trial_networks], axis=-1)
 
     @cached_property
     def reading_sigmas(self) -> Floats:
         """Standard deviations of the readings, (pointings, 3, trials) [m, rad, rad]; infinite for missing readings."""
-        return np.stack([part.reading_sigmas for part in self.networks], axis=-1)
+        return np.stack([part.reading_sigmas for part in self.trial_networks], axis=-1)
 
     @cached_property
     def _point_derivatives(self) -> Floats:
         """Derivative (pointings, 3, 3, trials) of an ideal tracker's readings by the targets in instrument frames."""
-        return np.stack([part._point_derivatives for part in self.networks], axis=-1)
+        return np.stack([part._point_derivatives for part in self.trial_networks], axis=-1)
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
         """Expected change (pointings, 3, trials) of readings by reflectors with a bench test; None without any."""
-        shifts = [shift for part in self.networks if (shift := part._bench_tested_reflector_change) is not None]
+        shifts = [shift for part in self.trial_networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property
@@ -344,16 +344,16 @@ class StackedNetwork(BatchNetwork):
         The indices have the shape (affected readings,), the designs (trials, affected readings, effect parameters).
         """
         n_readings = 3 * len(self.recording)
-        flattened = [part._additional_parameter_design.reshape(n_readings, -1) for part in self.networks]
+        flattened = [part._additional_parameter_design.reshape(n_readings, -1) for part in self.trial_networks]
         affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
         design = np.stack([design[affected_rows] for design in flattened])
-        sigma = np.stack([part.reading_sigmas.ravel()[affected_rows] for part in self.networks])
+        sigma = np.stack([part.reading_sigmas.ravel()[affected_rows] for part in self.trial_networks])
         return affected_rows, design, design / sigma[:, :, None]
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (trials, rows, unknowns) and residuals (rows, trials) of all observations except readings."""
-        designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
+        designs, nominal = zip(*(part._non_reading_design for part in self.trial_networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:

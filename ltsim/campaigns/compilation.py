@@ -11,7 +11,7 @@ from numba.extending import overload
 from ltsim.core.arrays import Floats
 
 ReturnType = TypeVar("ReturnType")
-"""Type of the result of a compiled function."""
+"""Type of the result of a function that is compiled."""
 
 if llvmlite.binding.llvm_version_info[0] >= 17:
     # Otherwise rows of one array are checked for overlap over all iterations of the outer loop, which always fails.

@@ -13,7 +13,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.scenario_keys import ValueType, value_at_key, value_type_of_key
+from ltsim.simulation.scenario_keys import KeyValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMN_NAMES = frozenset(
     {
@@ -104,9 +104,9 @@ class Factor(Entry):
     keys: tuple[str, ...]
     """Dotted keys of the scenario, such as `work.faces`, that take the value of the factor."""
     unit: str = ""
-    """Unit of the levels."""
-    kind: ValueType = "number"
-    """Type of the levels; tables are written as JSON."""
+    """Unit of the factor levels; empty for levels without a unit."""
+    kind: KeyValueType = "number"
+    """Type of the factor levels, such as `number`; tables are written as JSON."""
 
     def level_in_scenario(self, scenario: Mapping[str, Any]) -> Any:
         """Level of the factor in a cell (combination of factor levels), from the TOML tables of the cell's scenario.

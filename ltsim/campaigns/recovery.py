@@ -41,7 +41,7 @@ from ltsim.campaigns.recovery_trials import (
     RecoveryTrials,
     run_recovery_trials,
 )
-from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
+from ltsim.campaigns.schema import InstrumentErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_argument_bounds, check_argument_choice, check_mapping_argument
 from ltsim.core.errors import InputError, ModelError, option_text
@@ -71,7 +71,7 @@ class Recovery(ResultFile):
     """Format and version of this file."""
     passed: bool
     """True if all checks passed and no parameter is unchecked, unless unchecked parameters are permitted."""
-    error_origin: ErrorOrigin = "drawn"
+    error_origin: InstrumentErrorOrigin = "drawn"
     """Origin of the true instrument errors: `drawn` from the prior, or `stated` (declared) by the scenario."""
     trials: NonNegativeInt
     """Number of trials."""
@@ -212,7 +212,7 @@ def recover(
     calibrator: ExternalCalibrator | None = None,
     tolerance: Mapping[str, str] | None = None,
     allow_unchecked: bool = False,
-    errors: ErrorOrigin | None = None,
+    errors: InstrumentErrorOrigin | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
@@ -265,7 +265,7 @@ def recover(
     check_argument_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     check_mapping_argument("tolerance", tolerance)
     check_argument_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
-    check_argument_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
+    check_argument_choice("errors", errors, get_args(InstrumentErrorOrigin), allow_none=True)
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
         raise InputError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
@@ -333,6 +333,6 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
     return given_values
 
 
-def default_origin_of_true_errors(scenario: Scenario) -> ErrorOrigin:
+def default_origin_of_true_errors(scenario: Scenario) -> InstrumentErrorOrigin:
     """Origin of the true instrument errors for a scenario: `stated` if it declares any, otherwise `drawn`."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

@@ -23,7 +23,7 @@ from ltsim.campaigns.recovery_checks import (
     total_chi2_check,
     unit_mean_check,
 )
-from ltsim.campaigns.schema import ErrorOrigin
+from ltsim.campaigns.schema import InstrumentErrorOrigin
 from ltsim.campaigns.scoring import (
     TrialScore,
     score_calibration,
@@ -123,7 +123,7 @@ class RecoverySettings:
     """Effects that ltsim's calibration estimates in addition to the instrument parameters."""
     calibrator: ExternalCalibrator | None = None
     """External calibrator that is checked; None to check ltsim's calibration."""
-    error_origin: ErrorOrigin = "drawn"
+    error_origin: InstrumentErrorOrigin = "drawn"
     """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
 
 
@@ -198,7 +198,7 @@ class RecoveryTrials(ValueEquality):
 
     trial_scores: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
-    error_origin: ErrorOrigin = "drawn"
+    error_origin: InstrumentErrorOrigin = "drawn"
     """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by name of the parameter; if there are any, only these parameters are checked."""

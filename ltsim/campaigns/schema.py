@@ -26,8 +26,8 @@ PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
 """Text in place of a unit, for columns with one name per parameter whose numbers are in the unit of the parameter."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
 """Possible statuses of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
-ErrorOrigin = Literal["drawn", "stated"]
-"""Origin of the instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
+InstrumentErrorOrigin = Literal["drawn", "stated"]
+"""Origin of the true instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
 scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 """Group of result columns in the rows of a campaign; the key `statistics` of the campaign file selects groups."""

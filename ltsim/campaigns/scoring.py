@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.external_calibrator import ParameterEstimate
-from ltsim.campaigns.schema import ErrorOrigin
+from ltsim.campaigns.schema import InstrumentErrorOrigin
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, InputError
@@ -296,7 +296,7 @@ def _network_mean_square_z(
 def score_estimates(
     estimates: Mapping[str, ParameterEstimate],
     truth: Truth,
-    error_origin: ErrorOrigin,
+    error_origin: InstrumentErrorOrigin,
     full_ltsim_score: TrialScore | None,
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's score for the same parameters.

@@ -255,7 +255,7 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a file of rows (shard), without the first `n_existing_trials` trials, which have rows already.
+    """Rows of a file of rows (shard) for the trials after the first `n_existing_trials`, which have rows already.
 
     With `truth_only` the rows contain only the true values, and no trial is calibrated.
     """

@@ -23,9 +23,9 @@ MAX_LGC_LINES = 200_000
 MAX_FIELD_BOOK_POINTINGS = 300_000
 """Largest number of pointings in a field book of a total station; a pointing takes 1.3 kB while it is read."""
 MAX_LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line of a file, enough for a header of `MAX_ROW_FIELDS` names with 40 characters
+"""Largest number of characters in a line of a file, enough for a header of `MAX_TABLE_COLUMNS` names with 40 characters
 each."""
-MAX_ROW_FIELDS = 500
+MAX_TABLE_COLUMNS = 500
 """Largest number of columns in a table."""
 MAX_TABLE_HEADERS = 10_000
 """Largest number of header lines in a table that repeats its header for each set-up or page. The rows after each header

@@ -169,7 +169,7 @@ class Table(ValueEquality):
     """
 
     file: str
-    """Name of the CSV file; without its suffix, the name of the table."""
+    """Name of the CSV file of the table; without its suffix, it is the name of the table."""
     description: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()

@@ -26,7 +26,7 @@ QUARTER_TURN = 0.5 * math.pi
 PPM = 1e-6
 """Part per million, as a number: 1e-6."""
 EARTH_RADIUS = 6_371_000.0
-"""Mean radius [m] of the earth."""
+"""Mean radius of the earth [m]."""
 
 SI_PER_UNIT = MappingProxyType(
     {

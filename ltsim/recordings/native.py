@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_ROW_FIELDS
+from ltsim.core.limits import MAX_TABLE_COLUMNS
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -110,9 +110,9 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
             if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
-                if len(cells) > MAX_ROW_FIELDS:
+                if len(cells) > MAX_TABLE_COLUMNS:
                     raise SourceLocation(path, len(rows)).error(
-                        f"{len(cells)} columns, expected at most {MAX_ROW_FIELDS}"
+                        f"{len(cells)} columns, expected at most {MAX_TABLE_COLUMNS}"
                     )
                 rows.append(cells)
                 if len(cells) != len(rows[0]):

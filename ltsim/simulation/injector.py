@@ -29,7 +29,7 @@ INJECTION_FORMAT = "ltsim-injection/1"
 NONCENTRALITY_TOLERANCE = 1e-4
 """Largest relative difference between the noncentrality of a scaled effect and the requested noncentrality, at which
 the scaling ends."""
-MAX_SCALING_STEPS = 60
+MAX_NONCENTRALITY_SCALING_STEPS = 60
 """Largest number of iterations in the scaling of an effect to the requested noncentrality."""
 MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY = 30.0
 """Largest permitted change of a reading by an injected effect. The unit is the standard deviation of the reading, times
@@ -236,7 +236,7 @@ class Injector:
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no parameter to scale; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY * np.sqrt(noncentrality_goal)
-        for _ in range(MAX_SCALING_STEPS):
+        for _ in range(MAX_NONCENTRALITY_SCALING_STEPS):
             noncentrality = self.noncentrality(effect, factor * parameter_values)
             if not noncentrality > 0.0 or (
                 noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * noncentrality_goal

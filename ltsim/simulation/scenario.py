@@ -22,7 +22,7 @@ from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
 from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tables
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
-    PRESETS,
+    TRACKER_PRESETS,
     CoordinateMeasuringMachine,
     EffectEntry,
     MeasurementProcedure,
@@ -39,7 +39,7 @@ from ltsim.simulation.sections import (
 
 SCENARIO_FORMAT = "ltsim-scenario/1"
 """Format and version of a scenario file."""
-MIN_TARGETS = 3
+MIN_SCENARIO_TARGETS = 3
 """Smallest number of targets in a scenario, including those of the gauge."""
 MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
@@ -153,7 +153,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
     """
     # Validated twice: the tables with the changes, and the file that would be written from the result.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    of_presets = sorted({section for sections in PRESETS.values() for section in sections})
+    of_presets = sorted({section for sections in TRACKER_PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
@@ -212,7 +212,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
         return instrument
     name = instrument.get("preset")
     if name not in data_sheet_names():
-        return merge_defaults(instrument, PRESETS.get(str(name), {}))
+        return merge_defaults(instrument, TRACKER_PRESETS.get(str(name), {}))
     with reraise_as_input_error(f"{file}: instrument.preset"):
         below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
@@ -234,8 +234,8 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
     stations = dict(list(scenario.stations.items())[: work.stations])
     targets = scenario.targets if work.targets is None else _select_spread_targets(scenario.targets, work.targets)
     gauge = scenario.gauge.targets if scenario.gauge else ()
-    if len(targets) + len(gauge) < MIN_TARGETS:
-        least = MIN_TARGETS - len(gauge)
+    if len(targets) + len(gauge) < MIN_SCENARIO_TARGETS:
+        least = MIN_SCENARIO_TARGETS - len(gauge)
         raise InputError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
@@ -317,8 +317,8 @@ def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
-    if len(names) < MIN_TARGETS:
-        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
+    if len(names) < MIN_SCENARIO_TARGETS:
+        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_SCENARIO_TARGETS}"
     for name, count in Counter(names).items():
         if count > 1:
             yield f"gauge.targets names '{safe_excerpt(name)}' twice, or it is also a table of [targets]"

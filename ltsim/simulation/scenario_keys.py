@@ -10,13 +10,13 @@ from ltsim.recordings.settings import schemas_at
 from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
 
-ValueType = Literal["number", "integer", "boolean", "string", "table"]
+KeyValueType = Literal["number", "integer", "boolean", "string", "table"]
 """Type of the value of a scenario key."""
-SCALAR_VALUE_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
+SCALAR_VALUE_TYPES: tuple[KeyValueType, ...] = ("number", "integer", "boolean", "string")
 """Types of the values that are not tables."""
 
 
-def value_type_of_key(dotted_key: str) -> ValueType:
+def value_type_of_key(dotted_key: str) -> KeyValueType:
     """Type of the value of a dotted key; `table` for a list, a table or an unknown key."""
     kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
     return next((kind for kind in SCALAR_VALUE_TYPES if kind in kinds), "table")

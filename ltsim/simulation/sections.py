@@ -37,7 +37,7 @@ Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
 """Prior of the tracker of Sensors 2021, 21, 7479, with which the criteria before calibration resemble its Table 3."""
 
-PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
+TRACKER_PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
         "paper": {},
         "modern": {
@@ -57,8 +57,8 @@ certificates). `after-transport`: `paper` after a mechanical shock."""
 
 
 def _existing_preset(preset_name: str) -> str:
-    if preset_name not in PRESETS and preset_name not in data_sheet_names():
-        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
+    if preset_name not in TRACKER_PRESETS and preset_name not in data_sheet_names():
+        raise ValueError(f"it should be {', '.join(TRACKER_PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
     return preset_name
 
 
@@ -215,9 +215,9 @@ class Smr(TomlSection):
     nest_orientation: Literal["re-aimed", "fixed"] = "re-aimed"
     """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
-    """Largest incidence angle at which the beam is returned."""
+    """Largest incidence angle at which the reflector returns the beam."""
     reflector: str | None = None
-    """Name of the SMR for pointings whose station and target name no SMR."""
+    """Name of the SMR for all pointings for which neither the station nor the target names one."""
     incidence_error: bool = False
     """True if the range error of the reflectors depends on the incidence angle, as in `range_error_table_um`."""
     range_error_table_um: Annotated[
