@@ -130,9 +130,7 @@ def compare_calibrations(
             else made.readings
         )
         if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
-            raise InputError(
-                f"calibration '{name}' is not from seed {seed} and trial {trial}; give those of its recording"
-            )
+            raise InputError(f"calibration '{name}' is not from seed {seed} and trial {trial}; give its seed and trial")
     if not by_name:
         raise InputError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)

@@ -120,7 +120,9 @@ class Recovery(ResultFile):
     def arrays(self) -> RecoveryTrials:
         """Arrays of the trials; raises ModelError for a result that was read from a file."""
         if self._arrays is None:
-            raise ModelError("a recovery read from a file has no trials; trials.csv in its folder has them")
+            raise ModelError(
+                "a result read from recovery.json has no arrays; trials.csv in its folder contains the trials"
+            )
         return self._arrays
 
     def _summary_lines(self) -> list[str]:

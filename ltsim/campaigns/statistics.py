@@ -125,7 +125,9 @@ class CampaignStatistics:
         """Check that the manifest contains the factor levels (cells) and methods of all rows; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
-                raise ValueError(f"it has rows of cell {cell} by {method}, which are not in {ManifestFile.FILE}")
+                raise ValueError(
+                    f"it has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
+                )
 
     def _create_cells_table(self) -> None:
         """Creation of the table `cells` (combinations of factor levels), with column types as in the table `rows`.
@@ -143,7 +145,7 @@ class CampaignStatistics:
         title = f"{manifest.title}: " if manifest.title else ""
         cells, methods = manifest.cells, manifest.methods
         return [
-            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
+            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells, methods {', '.join(methods)}",
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 

@@ -228,7 +228,7 @@ class TrialDistributions:
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise InputError(f"effects: {effect.name} makes a variance of readings negative; give it larger values")
+                raise InputError(f"effects: {effect.name} makes a variance of readings negative; give larger values")
             sigma = np.sqrt(variance)
         return sigma
 

@@ -282,8 +282,8 @@ class Injector:
         lengths = self.reference_length_change(effect, parameter_values)
         if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{effect_specification}: changes no reading; give measured stations or targets, after the time if "
-                "there is one"
+                f"{effect_specification}: changes no reading; give measured stations or targets, and a time before the "
+                "last of their readings"
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows

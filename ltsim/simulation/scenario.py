@@ -186,7 +186,7 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
         else:
             subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
         if not isinstance(subtable, (dict, list)):
-            through = f"{safe_excerpt(key)} goes through {safe_excerpt(name)}"
+            through = f"{safe_excerpt(key)} contains the part {safe_excerpt(name)}"
             raise InputError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(subtable, dict):
         wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
