@@ -40,7 +40,7 @@ from ltsim.simulation.sections import (
 SCENARIO_FORMAT = "ltsim-scenario/1"
 """Format and version of a scenario file."""
 MIN_SCENARIO_TARGETS = 3
-"""Smallest number of targets in a scenario, including those of the gauge."""
+"""Smallest number of targets in a scenario, including the reflectors of the gauge."""
 MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (

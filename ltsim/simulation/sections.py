@@ -279,10 +279,11 @@ class GaugeLength(TomlSection):
 
 
 class ScenarioGauge(TomlSection):
-    """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
+    """Gauge, a rigid frame of reflectors at known distances: its lengths and its pose in the hall.
 
-    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
-    longest extents. The frame is rotated by roll, pitch and yaw in this order.
+    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The lengths are at the temperature
+    `calibrated_at_c`. The x and y axes of the frame are along its two longest extents. The frame is rotated by roll,
+    pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")

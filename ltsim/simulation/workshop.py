@@ -1,4 +1,4 @@
-"""Planned layout of a hall: poses of stations, positions of targets, gauge, nests, obstacles and visibility."""
+"""Planned layout of a hall: stations, targets, gauge (reflectors at known distances), nests, obstacles, visibility."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -41,7 +41,7 @@ If it is exceeded, the declared lengths contradict each other."""
 
 @dataclass(frozen=True)
 class GaugeFrame:
-    """Gauge as a rigid frame of reflectors, at its calibration temperature."""
+    """Gauge (reflectors at known distances) as a rigid frame, at its calibration temperature."""
 
     target_names: tuple[str, ...]
     """Names of the targets of the gauge."""
