@@ -240,8 +240,7 @@ class CoordinateMeasuringMachine(TomlSection):
     noise_factor: NonNegative = 1.0
     """Ratio of the true to the specified standard deviation of a measured length."""
     measures_targets: bool = False
-    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes their coordinates for
-    `ltsim verify`."""
+    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes these coordinates."""
 
 
 class MeasurementProcedure(TomlSection):
@@ -268,7 +267,7 @@ class MeasurementProcedure(TomlSection):
 
 
 class GaugeLength(TomlSection):
-    """True length between two targets of the gauge, at the calibration temperature."""
+    """True length between two targets of the gauge, at the temperature `calibrated_at_c` of the gauge."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
@@ -281,9 +280,8 @@ class GaugeLength(TomlSection):
 class ScenarioGauge(TomlSection):
     """Gauge, a rigid frame of reflectors at known distances: its lengths and its pose in the hall.
 
-    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The lengths are at the temperature
-    `calibrated_at_c`. The x and y axes of the frame are along its two longest extents. The frame is rotated by roll,
-    pitch and yaw in this order.
+    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
+    longest extents. The frame is rotated by roll, pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
