@@ -242,7 +242,7 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
 
 
 def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
-    """Vector from target to SMR centre in each pointing, (pointings, 3) [m]; None if all use the reference SMR.
+    """Vector from target to SMR centre in each pointing, (pointings, 3) [m]; None without declared SMR radii.
 
     InputError is raised for an SMR without a table `[reflectors.NAME]`, and for a missing reference radius. It is also
     raised if a nest without a declared normal holds an SMR whose radius differs from the reference radius.
