@@ -35,7 +35,7 @@ from benchmarks.peers import (
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
-from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_task
+from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_shard_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, recording_of_trial
@@ -104,7 +104,9 @@ def peers(trials: int) -> None:
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
     known = [
-        lambda r=r: adjust_from_state(r, engine.construction, start_state=engine.batch_network.nominal_state)
+        lambda r=r: adjust_from_state(
+            r, engine.construction, start_state=engine.batch_network.state_with_zero_parameters
+        )
         for r in recordings
     ]
     rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))
@@ -156,10 +158,10 @@ def parts() -> None:
     raw = judge.mean_points_by_station(block.reading_deviations)
     steps: dict[str, Callable[[], object]] = {
         "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
-        "draw: exact readings, two Newton steps": lambda: truth._exact_deviations(block.instrument_values),
+        "draw: exact readings, two Newton steps": lambda: truth._exact_reading_deviations(block.instrument_values),
         "draw: everything": lambda: truth.draw_batch(SEED, 0),
         "calibrate: linear start": lambda: network._first_step(block.reading_deviations, block.length_errors),
-        "calibrate: residuals and gradient": lambda: network._gradient(
+        "calibrate: residuals and gradient": lambda: network._write_gradient_and_cost(
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
@@ -191,7 +193,7 @@ def other_paths() -> None:
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
     shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
-    written = seconds(lambda: run_task(shared), 4) / 4096
+    written = seconds(lambda: run_shard_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
     rows = [
         ["shared geometry, judged, verified, encoded", f"{1e6 * written:.1f} us", f"{1 / written:.0f}", ""],
@@ -236,7 +238,7 @@ def trials_against_time(short: bool) -> None:
             campaign = CampaignFile(format="ltsim-campaign/1", trials=4096 * shards)
             tasks = [ShardTask(campaign, scenario, "", 0, shard) for shard in range(shards)]
             store, start = CampaignFolder(Path(place) / str(shards)), time.perf_counter()
-            done = Parallel(n_jobs=2, return_as="generator")(delayed(run_task)(task) for task in tasks)
+            done = Parallel(n_jobs=2, return_as="generator")(delayed(run_shard_task)(task) for task in tasks)
             for task, content in done:
                 store.write_shard(0, task.shard, content)
             wall = time.perf_counter() - start

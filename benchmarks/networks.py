@@ -60,11 +60,11 @@ def room(stations: int, targets: int) -> TrueNetwork:
     population = TrialDistributions(
         sightings=sightings_at_state(recording, state),
         construction=built,
-        instruments=("",),
-        instrument_means=0 * sigma,
-        instrument_sigmas=sigma,
+        instrument_names=("",),
+        instrument_error_means=0 * sigma,
+        instrument_error_sigmas=sigma,
         noise_sigmas=recording.reading_sigmas(),
         reference_lengths=ReferenceLengths.from_recording(recording),
-        length_end_names=names,
+        length_target_names=names,
     )
     return TrueNetwork(recording, state, population)

@@ -76,7 +76,7 @@ def cells_of(given: Options) -> tuple[CampaignFile, Sequence[CampaignCell]]:
     """The campaign of an experiment's `config.toml` with its cells."""
     file = given.here / "config.toml"
     found, scenarios = load_campaign(file, given.changes)
-    return found, spec.make_cells(found, scenarios, file)[1]
+    return found, spec.make_campaign_cells(found, scenarios, file)[1]
 
 
 def campaign(file: str, given: Options, name: str = "", **changes: Any) -> CampaignResults:

@@ -7,7 +7,7 @@ loaded from its package when it is first used. `lt.effects` is the package of th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ltsim.core.plotting import register_plotting
+from ltsim.core.plotting import register_plotting_loader
 
 if TYPE_CHECKING:
     from ltsim.acceptance.verbs import accept as accept
@@ -62,20 +62,21 @@ _PUBLIC_NAMES_BY_MODULE = {
     "adjustment.evaluation.bench": ("bench",),
     "adjustment.fieldcheck.check": ("check",),
 }
-"""Names of the public functions and classes of each module."""
+"""Names of the public functions and classes, by the module in `ltsim` that defines them."""
 _MODULE_BY_PUBLIC_NAME = {name: module for module, names in _PUBLIC_NAMES_BY_MODULE.items() for name in names}
-"""Module that defines each public name."""
+"""Module in `ltsim` that defines a public function or class, by its name."""
 
 _PUBLIC_MODULES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
-"""Paths of the modules that are public as a whole, by public name."""
+"""Full paths of the public modules, by their public names."""
 
 __all__ = sorted([*_MODULE_BY_PUBLIC_NAME, "effects", "errors"])
 
 
-register_plotting(lambda module: import_module(f"ltsim.reports.{module}"))
+register_plotting_loader(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
 def _import_public_name(name: str) -> Any:
+    """Public function, class or module with this name, imported at its first use; AttributeError for other names."""
     if name in _MODULE_BY_PUBLIC_NAME:
         return getattr(import_module(f"ltsim.{_MODULE_BY_PUBLIC_NAME[name]}"), name)
     if name in _PUBLIC_MODULES:

@@ -1,11 +1,11 @@
-"""Reading and writing of recordings and results in files."""
+"""Public functions that read recordings and results from files, and write and convert them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_supported_recording
@@ -57,7 +57,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 
 
 def _find_result_file(file_or_folder: Path) -> Path | None:
-    """Path of the result file that a path names, or that its folder contains; None for a recording."""
+    """Path of the result file `file_or_folder`, or of the result file in this folder; None for a recording."""
     if file_or_folder.is_file():
         return (
             file_or_folder if file_or_folder.suffix == ".json" and not is_supported_recording(file_or_folder) else None
@@ -102,11 +102,11 @@ def write(
     format: str = "native",  # noqa: A002
     recording: Recording | None = None,
 ) -> None:
-    """Write a recording or a result: the same files as the command that computes it, for true values a single file.
+    """Write a recording or a result to the files that the command for it writes; true values are a single file.
 
     Parameters
     ----------
-    result : Recording, or result of a verb with a file
+    result : Recording, or result of a command that writes files
     path : str or Path
         Path of the folder or file; existing files are replaced.
     format : str
@@ -117,7 +117,7 @@ def write(
     Raises
     ------
     ModelError
-        If the object is no recording and no result, or is a result from a file without the arrays for its tables.
+        If the object is neither a recording nor a result, or is a result that was read without arrays for its tables.
     RecordError
         If the path cannot be written; no partial files remain.
 
@@ -135,7 +135,7 @@ def write(
 
 
 def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Write a result that is not a recording."""
+    """Writing of a result that is not a recording; `recording` is written to the same folder if given."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
@@ -156,11 +156,11 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
             from ltsim.reports.schemas import COMPANION_TABLES_BY_RESULT_FILE  # which takes half a second
 
             named = {table.file for table in COMPANION_TABLES_BY_RESULT_FILE.get(result_file.FILE, ())}
-            tables = [result_file.table(name) for name in result_file._tables()]
+            tables = [result_file.table(name) for name in result_file._table_makers()]
             write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:
             raise ModelError(
-                f"a {type(result_file).__name__} has no files; a recording, a calibration or another result has"
+                f"a {type(result_file).__name__} cannot be written; expected a recording, a calibration or other result"
             )
 
 
@@ -182,9 +182,9 @@ def convert(
     to : str
         Format to write.
     format, hints
-        Format and interpretation of the source, as of `read`.
+        Format and interpretation of the source, as for `read`.
     every : int
-        N to write only every N-th pointing from a station to a target on one face. Long monitoring recordings contain
+        N to write only every N-th pointing from a station to a target in one face. Long monitoring recordings contain
         more pointings than a network needs.
 
     Returns
@@ -199,7 +199,7 @@ def convert(
     >>> lt.convert(recording, "workshop.txt", to="polar-text")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
-    check_bounds(every=every, required_argument="every")
+    check_argument_bounds(every=every, required_argument="every")
     recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
     recording = recording if every == 1 else recording.thin(every)
     write_recording(recording, destination, to)

@@ -107,10 +107,10 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
 
 def test_an_empty_table_is_shown_as_nothing():
     class Empty(Result):
-        def _lines(self) -> list[str]:
+        def _summary_lines(self) -> list[str]:
             return ["nothing"]
 
-        def _tables(self) -> Any:
+        def _table_makers(self) -> Any:
             return {"none": dict[str, list[int]]}
 
     assert Empty()._repr_html_() == "<p>nothing</p>"
@@ -129,7 +129,7 @@ def test_results_are_written_as_their_commands_do(recording, tmp_path: Path):
     lt.write(calibration, tmp_path / "calibration")
     assert len(lt.correct(recording, tmp_path / "calibration")) == len(recording)
     assert len(lt.history([tmp_path / "calibration", recording]).calibrations) == 2
-    with pytest.raises(ModelError, match="a dict has no files"):
+    with pytest.raises(ModelError, match="a dict cannot be written"):
         lt.write({}, tmp_path / "nothing")  # type: ignore[arg-type]
 
 

@@ -14,7 +14,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_disagreement,
     distance_errors,
 )
-from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRowBuilder
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
@@ -70,7 +70,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.trial_batches(0, campaign.trials):
         wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
-        work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
+        work = TrialBatchRowBuilder(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         assert work.validation_batch is not None
         assert cell.validation_scenario is not None
         there, elsewhere, _ = work.validation_batch

@@ -8,7 +8,7 @@ import pandas as pd
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust, adjust_from_state
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.shard_rows import CellContext, TrialBatchRows
+from ltsim.campaigns.shard_rows import CellContext, TrialBatchRowBuilder
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, recording_of_trial
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
@@ -84,7 +84,7 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
     for here, calibrators, clean in ready.trial_batches(0, campaign.trials):
         block = with_outliers(here.true_network, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
-        work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
+        work = TrialBatchRowBuilder(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.true_network)}).items():
             columns = {name: own[wanted] for name, own in work.method_columns(calibrator).items()}

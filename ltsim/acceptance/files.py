@@ -178,11 +178,11 @@ class AcceptanceFile(ResultFile):
     worst_passing_instrument: WorstPassingInstrument | None = None
     """Instrument that passes every test with the largest point errors; null if it was not searched for."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Line for a terminal: origin of the errors, plan of tests, and result."""
         return [f"Acceptance ({self.error_origin}, {self.plan_name}): {self.sentence}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         """Functions that build the data tables of the result, by name of the table."""
         return {
             "tests": lambda: TESTS_TABLE.with_rows(self.tests),

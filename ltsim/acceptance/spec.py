@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, ModelError, as_input_error
+from ltsim.core.errors import InputError, ModelError, reraise_as_input_error
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -134,7 +134,7 @@ def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[f
     return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
-@as_input_error()
+@reraise_as_input_error()
 def read_tests(file: Path) -> list[AcceptanceTest]:
     """Acceptance tests from a user's CSV table with the columns `TEST_TABLE_COLUMNS`.
 
@@ -289,13 +289,13 @@ class AcceptanceSettings(TomlSection):
         return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *user_tests)
 
 
-@as_input_error()
+@reraise_as_input_error()
 def load_acceptance(path: Path) -> AcceptanceSettings:
     """Content of the acceptance file at a path; raises InputError."""
     return validate_acceptance(read_toml(path, "acceptance file"), path)
 
 
-@as_input_error()
+@reraise_as_input_error()
 def validate_acceptance(tables: Mapping[str, Any], file: object) -> AcceptanceSettings:
     """Validated content of an acceptance file from its TOML tables; raises InputError, which names `file`."""
     name, specification = tables.get("instrument"), tables.get("specification", {})

@@ -28,7 +28,7 @@ from ltsim.acceptance.spec import (
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, as_input_error, unknown_name_error
+from ltsim.core.errors import InputError, reraise_as_input_error, unknown_name_error
 from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import construction_of_beam_origin
@@ -144,7 +144,7 @@ def _load_calibration(path: Path) -> Calibration:
     return calibration
 
 
-@as_input_error()
+@reraise_as_input_error()
 def read_measured_outcomes(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
     """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 

@@ -85,7 +85,7 @@ class Adjustment(Result):
     datum: InnerConstraintDatum | None = None
     """Datum of the covariances by inner constraints; None if the pose of the first station or constraints define it."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Lines of the summary that `print` shows."""
         return [
             f"Adjustment: {self.recording.headline}",

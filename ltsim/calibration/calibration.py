@@ -39,7 +39,7 @@ from ltsim.calibration.schema import (
 from ltsim.calibration.uncertainty import UncertaintyEntry, uncertainty_sentences
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.probability import p_relation_text, two_sided_p_value
+from ltsim.core.probability import p_value_relation_text, two_sided_p_value
 from ltsim.core.results import Table
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.physics.effects.linear_effect import Parameter
@@ -268,10 +268,10 @@ class Calibration(UncertaintyEntry, ResultFile):
         """True if the readings contradict the model: sigma0 is significantly above 1, not because of a few readings."""
         return self.uncertainty_factor > 1.0
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
-        test += "" if fit.p_value is None else f", two-sided {p_relation_text(two_sided_p_value(fit.p_value))}"
+        test += "" if fit.p_value is None else f", two-sided {p_value_relation_text(two_sided_p_value(fit.p_value))}"
         n_determined = int(((self.sigma < MAX_SIGMA_TO_PRIOR_SIGMA_RATIO * self.prior_sigma) & ~self.is_fixed).sum())
         targets = f" and {len(self.target_names)} targets" if self.target_names else ""
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
@@ -289,7 +289,7 @@ class Calibration(UncertaintyEntry, ResultFile):
             lines += [*([] if self.is_rejected else [self.correction.point_error_text]), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
             "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
             "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariance),

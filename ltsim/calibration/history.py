@@ -12,7 +12,7 @@ from ltsim.calibration.events import EventEntry, significant_parameter_steps
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import names_text
-from ltsim.core.probability import p_relation_text
+from ltsim.core.probability import p_value_relation_text
 from ltsim.core.results import Column, ColumnValues, Table, model_columns, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
@@ -160,14 +160,14 @@ class History(ResultFile):
         """Parameters that at least two calibrations determine, so that their constancy can be tested."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         since, labels = self.change_since_first, self.labels
         return [
             f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
-            f"first to last calibration: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
+            f"first to last calibration: chi2 {since.chi2:.1f}/{since.dof}, {p_value_relation_text(since.p_value)}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
             "values": lambda: self._table_by_calibration([course.values for course in self.parameters]),
             "sigmas": lambda: self._table_by_calibration([course.sigmas for course in self.parameters]),

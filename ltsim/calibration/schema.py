@@ -9,7 +9,7 @@ from scipy import special
 from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
-from ltsim.core.probability import p_relation_text
+from ltsim.core.probability import p_value_relation_text
 from ltsim.core.results import Column, Table, model_columns, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, Positive, Quaternion, Sigma, Vector
@@ -338,8 +338,8 @@ class FittedEffectEntry(Entry):
             for p in self.parameters
         )
         candidates_text = f", selected from {self.n_candidates} candidates" if self.n_candidates > 1 else ""
-        p_text = p_relation_text(self.p_value)
-        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({p_text}{candidates_text})"
+        p_value_text = p_value_relation_text(self.p_value)
+        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({p_value_text}{candidates_text})"
 
 
 class ReflectorEntry(Entry):

@@ -22,7 +22,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
 from ltsim.calibration.requested_effects import RequestedEffect
-from ltsim.core.arguments import check_choice, check_mapping
+from ltsim.core.arguments import check_argument_choice, check_mapping_argument
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
@@ -110,8 +110,8 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied_value']
     """
-    check_mapping("hold", hold)
-    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
+    check_mapping_argument("hold", hold)
+    check_argument_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
     if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")

@@ -1,16 +1,17 @@
-"""Campaigns: many trials for each combination of factor levels, computed in batches, stored safely, queried by SQL."""
+"""Campaigns: many simulated trials for each combination of factor levels, in batches, with rows that SQL can query."""
 
 import os
 
 from ltsim.core.errors import require_extra
 
-REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need; they take a third of the disk space of a complete installation."""
+CAMPAIGN_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
+"""Packages that only campaigns need (extra `campaigns`); they take a third of the disk space of a complete
+installation."""
 
 
-def require_packages() -> None:
+def require_campaign_packages() -> None:
     """Check that the packages that campaigns need are installed; InputError with the command that installs them."""
-    require_extra(REQUIRED_PACKAGES, "campaigns", "campaigns")
+    require_extra(CAMPAIGN_PACKAGES, "campaigns", "campaigns")
 
 
 # Numba reads a `.numba_config.yaml` in the working folder, which may be somebody else's, at every compilation. It may

@@ -1,13 +1,12 @@
-"""Minimum of the distance objective of Sensors 2021, 21, 7479 (eq. 9) for all trials in one network geometry.
+"""Minimum of the distance objective of Sensors 2021, 21, 7479 (equation 9), for all trials in one network geometry.
 
-The normal matrix of the nominal network gives the Gauss-Newton steps of all trials, as in the network adjustment. The
-gradient is exact for the readings and parameters of each trial, so that the iteration converges to the optimum of the
-trial. The nominal network determines which combinations of parameters are estimated; the others remain zero.
+The Gauss-Newton steps of all trials use the normal matrix at the nominal (error-free) readings. The gradient is exact
+for the readings and parameters of each trial, so that the iteration converges to the optimum of the trial. The nominal
+network also determines which linear combinations of parameters are estimated; all others remain zero.
 
-For least absolute deviations, each step is the solution of a linear program with the normal matrix and the combinations
-of the trial itself, because small differences between matrices may change the optimal vertex. Equation 9 as printed
-estimates every combination that changes a compared distance. The estimates of weakly determined combinations are large,
-so that each step uses the normal matrix of the trial there too.
+Two cases need the normal matrix of the trial itself. For least absolute deviations each step solves a linear program,
+whose optimal vertex depends on small differences between matrices. Equation 9 as printed also estimates weakly
+determined combinations of parameters, whose estimates are large.
 """
 
 from dataclasses import dataclass
@@ -27,9 +26,9 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.true_network import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -39,7 +38,8 @@ from ltsim.solve.least_absolute import solve_least_absolute
 MAX_DISTANCE_FIT_STEPS = 10
 """Largest number of Gauss-Newton steps for the distance objective of a trial."""
 MAX_WEAK_COMBINATION_FIT_STEPS = 30
-"""Largest number of Gauss-Newton steps for a trial in which weakly determined combinations are estimated too."""
+"""Largest number of Gauss-Newton steps for a trial in which weakly determined combinations of parameters are estimated
+too."""
 MAX_LAST_STEP_AT_CONVERGENCE = 3e-5
 """Largest change of an unknown in the last step, in prior standard deviations, at which a trial counts as converged.
 The remaining error is about a hundredth of this change.
@@ -48,7 +48,7 @@ The remaining error is about a hundredth of this change.
 
 @dataclass(frozen=True)
 class BatchDistanceCalibrator(BatchCalibrator):
-    """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
+    """Batch calibration by the distance objective (Sensors 2021, 21, 7479): methods `distance` and `equation-9`.
 
     The unknowns are the parameters of all instruments. Methods whose name ends in `-l1` minimise absolute deviations,
     all others minimise squares.
@@ -64,12 +64,12 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @property
     def estimates_all_combinations(self) -> bool:
-        """True if every combination of parameters that changes the objective is estimated."""
+        """True if all combinations of parameters that change the objective are estimated, even weakly known ones."""
         return self.method.startswith("equation-9")
 
     @cached_property
     def distance_problem(self) -> DistanceProblem:
-        """Distance objective at the nominal network."""
+        """Distance objective with its observations and priors, at the nominal (error-free) network."""
         recording = self.true_network.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
@@ -84,11 +84,15 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _nominal_distances(self) -> PairDistances:
+        """Distances between the targets as measured from each station, at the nominal readings."""
         return self.distance_problem.distances_at(np.zeros(self.distance_problem.prior_sigma.size))
 
     @cached_property
     def _estimated_combinations(self) -> Floats:
-        """Estimated combinations of the parameters: orthonormal columns (unknowns, combinations) [prior sigma]."""
+        """Linear combinations of the parameters that are estimated, as orthonormal columns (unknowns, combinations).
+
+        Each parameter is divided by its prior standard deviation.
+        """
         excluded_vectors = np.array(
             [d.coefficient_vector for d in self.nominal_estimate.undetermined_combinations]
         ).reshape(-1, self.distance_problem.prior_sigma.size)
@@ -97,8 +101,8 @@ class BatchDistanceCalibrator(BatchCalibrator):
         ]
 
     @cached_property
-    def step_matrix(self) -> Floats:
-        """Matrix (unknowns, unknowns) that maps half the gradient of the objective to a step [prior sigma].
+    def gauss_newton_step_matrix(self) -> Floats:
+        """Matrix (unknowns, unknowns) that maps half the objective's gradient to a Gauss-Newton step [prior sigma].
 
         A step contains only the estimated combinations of parameters.
         """
@@ -108,25 +112,26 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _mean_deviation_comparisons(self) -> DistanceComparisons:
-        """Deviations of distances from their mean over the stations, at the nominal parameters."""
+        """Deviations of the measured distances from their mean over the stations, at the nominal parameters."""
         return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
     def _pair_difference_comparisons(self) -> DistanceComparisons:
-        """Differences of a distance between two stations, or from the gauge, at the nominal parameters."""
+        """Differences of each distance between two stations, or from the gauge, at the nominal parameters."""
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
-    def _chain_program(self) -> ChainProgram:
-        return self.true_network.chain_program(self.construction)
+    def _kinematic_chain(self) -> ChainArrays:
+        """Kinematic chain of the estimated error model, linearised at the nominal readings."""
+        return self.true_network.kinematic_chain(self.construction)
 
     @cached_property
     def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
-        """Set and weight of each pointing, mask of the targets of each set, pairs of targets with a reference length.
+        """Arrays for the objective: set and weight of each pointing, mask of the targets of each set, gauge pairs.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
-        of its set and target. In the order of the result: sets (pointings,), mask (sets, targets), weights
-        (pointings,), pairs (lengths, 2).
+        of its set and target. A gauge pair holds the indices of two targets with a reference length. The arrays are
+        sets (pointings,), mask (sets, targets), weights (pointings,) and pairs (lengths, 2), in this order.
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.station_face_indices
         visible, share = measured_targets_and_weights(self.true_network, sets)
@@ -135,12 +140,13 @@ class BatchDistanceCalibrator(BatchCalibrator):
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
         """Estimates of the trials, and mask (trials,) of the converged trials.
 
-        The targets are adjusted from readings that are corrected by the estimated parameters.
+        The targets are adjusted from readings that are corrected by the estimated parameters. `trial_indices` are the
+        trials for which slow computations, trial by trial, are permitted.
         """
         values, moved = (
-            self._least_squares_values(trial_batch)
+            self._least_squares_estimates(trial_batch)
             if self.method == "distance"
-            else self._values_with_trial_normal_matrices(trial_batch, trial_indices)
+            else self._estimates_with_trial_normal_matrices(trial_batch, trial_indices)
         )
         fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
@@ -152,8 +158,8 @@ class BatchDistanceCalibrator(BatchCalibrator):
             moved < MAX_LAST_STEP_AT_CONVERGENCE
         ) & fit.has_converged
 
-    def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
-        """Estimated parameters of all trials, and their largest change in the last step.
+    def _least_squares_estimates(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
+        """Estimated parameters of all trials by least squares, and their largest change in the last step.
 
         The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
         """
@@ -164,27 +170,30 @@ class BatchDistanceCalibrator(BatchCalibrator):
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_FIT_STEPS):
-            compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
+            compute_points(self._kinematic_chain, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_weighted_points(points, sets, recording.target, share, clouds)
             mean_gradients, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
             distance_gradient(clouds, visible, gauge, reference_lengths, mean_gradients, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             backpropagate_mean_gradients(
-                self._chain_program, *membership, deviation, parameter_values, mean_gradients, gradient
+                self._kinematic_chain, *membership, deviation, parameter_values, mean_gradients, gradient
             )
-            step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
+            step = self.gauss_newton_step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
             if not np.any(moved >= MAX_LAST_STEP_AT_CONVERGENCE):
                 break
         return parameter_values, moved
 
-    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[Floats, Floats]:
-        """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
+    def _estimates_with_trial_normal_matrices(
+        self, trial_batch: TrialBatch, trial_indices: Ints
+    ) -> tuple[Floats, Floats]:
+        """Estimated parameters of selected trials, each with its own normal matrix, and their largest last change.
 
-        The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
-        `trial_indices` are the indices of the selected trials in the batch; the change of all other trials is infinite.
+        The parameters have the shape (instruments, parameters, trials) [SI], the changes in the last step (trials,)
+        [prior sigma]. `trial_indices` are the indices of the selected trials in the batch; the change of all other
+        trials is infinite.
         """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
@@ -195,7 +204,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
         combinations_by_trial = {
             trial: self._estimated_combinations
             if self.estimates_all_combinations
-            else self._trial_combinations(trial_readings)
+            else self._estimated_combinations_of_trial(trial_readings)
             for trial, trial_readings in readings.items()
         }
         for iteration in range(
@@ -222,10 +231,10 @@ class BatchDistanceCalibrator(BatchCalibrator):
                 moved[trial] = np.abs(combinations_by_trial[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
-    def _trial_combinations(self, readings: Floats) -> Floats:
-        """Combinations of the unknowns that are estimated in a trial, shape (unknowns, combinations).
+    def _estimated_combinations_of_trial(self, readings: Floats) -> Floats:
+        """Linear combinations of the unknowns that are estimated in a trial, as columns (unknowns, combinations).
 
-        They are the principal axes of the objective for the trial's `readings` (pointings, 3) that are nearest to the
+        They are the principal axes of the objective at the trial's `readings` (pointings, 3) that are nearest to the
         combinations estimated at the nominal readings (`_estimated_combinations`).
         """
         design = self._mean_deviation_comparisons.comparison_matrix @ self.distance_problem.parameter_derivatives(
@@ -240,14 +249,16 @@ class BatchDistanceCalibrator(BatchCalibrator):
     def _objective_terms(self, trial_batch: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
         """Terms whose sum is the distance objective of each trial, shape (terms, trials).
 
-        `trial_indices` (trials,) are the indices of these trials in the batch, `parameter_values` (instruments,
+        `trial_indices` (trials,) are the indices of the trials in the batch, `parameter_values` (instruments,
         parameters, trials) [SI] their instrument parameters.
         """
         deviation, parameter_values = (
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
+        compute_points(
+            self._kinematic_chain, self.true_network.recording.instrument, deviation, parameter_values, points
+        )
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_comparisons, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
@@ -258,7 +269,9 @@ class BatchDistanceCalibrator(BatchCalibrator):
         """Network adjustment of the trials, after correction of their readings by `parameter_values` [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.true_network.recording.instrument, deviation, parameter_values, points)
+        compute_points(
+            self._kinematic_chain, self.true_network.recording.instrument, deviation, parameter_values, points
+        )
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
         is_back_face = (self.true_network.recording.face == 2)[:, None]

@@ -8,29 +8,30 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 
 MAX_DISTANCE_TO_OPTIMUM = 5e-5
-"""Largest distance to the optimum at which a trial counts as converged: norm of the remaining step, with each unknown
-divided by its standard deviation. A trial with a larger distance is solved again by the full solver.
+"""Largest distance to the optimum at which a trial counts as converged. The distance is the norm of the remaining step,
+with each unknown divided by its standard deviation. A trial with a larger distance is solved again by the full solver.
 """
 
 
 @dataclass(frozen=True)
 class BatchFit:
-    """Adjusted networks of a batch of trials; the last index of each array is the trial."""
+    """Adjusted networks of a batch of trials; the last axis of each array is the trial."""
 
     target_increments: Floats
     """Adjusted minus nominal coordinates of the targets, (targets, 3, trials) [m]."""
     instrument_values: Floats
     """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: Floats
-    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]."""
+    """Estimated parameters of the effects in addition to the instrument parameters, (effect parameters, trials) [SI].
+    """
     incidence_parameters: Mapping[str, Floats]
-    """Estimated parameters, (14, trials) [SI], of each reflector's range error as a function of the incidence angle
-    (effect `smr-incidence`), by name of the reflector."""
+    """Estimated parameters (14, trials) [SI] of the effect `smr-incidence` (range error by incidence angle), by name of
+    the reflector."""
     chi2: Floats
-    """Chi-square of each trial, (trials,)."""
+    """Chi-square of the adjustment of each trial, (trials,)."""
     distance_to_optimum: Floats
-    """Estimated distance to the optimum after the last step, (trials,): norm of the remaining step, with each unknown
-    divided by its standard deviation."""
+    """Estimated distance to the optimum after the last step, (trials,). It is the norm of the remaining step, with each
+    unknown divided by its standard deviation."""
 
     @property
     def has_converged(self) -> Bools:
@@ -39,7 +40,10 @@ class BatchFit:
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
-    """Product (rows, trials) of one matrix for all trials, or of one per trial, with `columns` (terms, trials)."""
+    """Product (rows, trials) of `matrix` with the column of each trial in `columns` (terms, trials).
+
+    All trials share a matrix (rows, terms); a matrix of shape (trials, rows, terms) differs between trials.
+    """
     if matrix.ndim == 2:
         return matrix @ columns
     return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

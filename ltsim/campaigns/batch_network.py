@@ -1,9 +1,10 @@
 """Network adjustment of all trials in one network geometry: one factorisation, exact residuals and gradients.
 
-The normal matrix N of the nominal network is inverted once. A step is ``inverse @ gradient`` for all trials in one
-matrix product. The gradient is computed from the exact residuals at the state of each trial, so that the iteration
-converges to the optimum of the trial for any N. N only determines the speed: a step reduces the distance to the optimum
-by a factor of about 1e-3, since errors of micrometres in metres hardly change the design matrix.
+The normal matrix N of the nominal (error-free) network is inverted once. A step is ``inverse @ gradient`` for all
+trials in one matrix product. The gradient is computed from the exact residuals at the current unknowns of each trial,
+so that the iteration converges to the optimum of the trial for any N. The matrix N only determines the speed: a step
+reduces the distance to the optimum by a factor of about 1e-3, since errors of micrometres in metres hardly change the
+design matrix.
 
 The residual of a pointing is the difference between the measured point and the target. The derivative of an ideal
 tracker's readings converts this difference to readings, with an error of 1e-5 standard deviations of a reading.
@@ -27,20 +28,21 @@ from ltsim.solve.design import to_dense
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_ASSUMED_CONVERGENCE_RATE = 1e-3
-"""Smallest assumed convergence rate: ratio of the distances to the optimum after and before a step. A larger ratio is
-estimated from the last two steps."""
+"""Smallest assumed convergence rate, that is, ratio of the distances to the optimum after and before a step. A larger
+rate is estimated from the last two steps."""
 
 
 @dataclass(frozen=True)
 class BatchNetwork(NominalNetwork):
-    """Network with nominal (error-free) readings, for the adjustment of a batch of trials."""
+    """Network with nominal (error-free) readings, with which a batch of trials is adjusted."""
 
     def gauss_newton_step(self, gradient: Floats) -> Floats:
-        """Gauss-Newton step (unknowns, trials) for the negative gradient of half the sum of squares."""
+        """Gauss-Newton step (unknowns, trials); `gradient` is the negative gradient of half the sum of squares."""
         return self.covariance @ gradient
 
     @cached_property
     def _sight_geometry(self) -> tuple[np.ndarray, ...]:
+        """Index arrays, sight vectors, rotations, derivatives and weights that the compiled gradient function needs."""
         recording, state = self.recording, self.state
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         places = (recording.instrument, recording.station, recording.target)
@@ -54,20 +56,20 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, 1) of readings by bench-tested reflectors; None without such reflectors."""
+        """Expected change (pointings, 3, 1) of readings by reflectors with a bench test; None without any."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
             return None
         return self.model.change_by_extra_parameters(
-            self._sightings_in_floor_plan_frame, self.nominal_state.extra_parameters
+            self._sightings_in_floor_plan_frame, self.state_with_zero_parameters.extra_parameters
         )[:, :, None]
 
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
         """Adjusted network of each trial.
 
-        `reading_deviations` (pointings, 3, trials) are readings minus nominal readings, `length_errors` (lengths,
-        trials) [m] are declared minus true reference lengths.
+        `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `length_errors` (lengths,
+        trials) [m] are declared minus true reference lengths; None without reference lengths.
         """
         if self._bench_tested_reflector_change is not None:
             reading_deviations = reading_deviations - self._bench_tested_reflector_change
@@ -75,7 +77,7 @@ class BatchNetwork(NominalNetwork):
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_FIT_STEPS + 1):
-            self._gradient(x, reading_deviations, length_errors, predicted, gradient, cost)
+            self._write_gradient_and_cost(x, reading_deviations, length_errors, predicted, gradient, cost)
             step = self.gauss_newton_step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
@@ -92,14 +94,16 @@ class BatchNetwork(NominalNetwork):
 
     @property
     def _has_additional_parameters(self) -> bool:
+        """True if effects or nuisance errors are estimated in addition to the instrument parameters."""
         return self.block_end_indices[3] > self.block_end_indices[2]
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        """Indices of the readings that effects change, and their design matrix, plain and whitened.
+        """Indices of the readings that effects change, and the design matrix of the effects, plain and whitened.
 
-        Effects include declared nuisance errors. The indices (affected readings,) refer to the flattened readings. The
-        designs have the shape (affected readings, effect parameters), after an axis of trials for separate geometries.
+        Nuisance errors that the recording declares count as effects. The indices (affected readings,) refer to the
+        flattened readings. The designs have the shape (affected readings, effect parameters), after an axis of trials
+        for separate geometries.
         """
         flattened = self._additional_parameter_design.reshape(self.reading_sigmas.size, -1)
         indices = np.flatnonzero(flattened.any(axis=1))
@@ -107,10 +111,11 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices of the first step from the nominal state, and matrix of the readings predicted after this step.
+        """Matrices of the first step from the nominal unknowns, and matrix of the readings predicted after this step.
 
         The step is the first matrix times the reading deviations, plus the second times the residuals of all other
-        observations. The third, (readings, unknowns), excludes effects; their changes are subtracted from the readings.
+        observations. The third matrix, (readings, unknowns), does not contain effects, because their changes are
+        subtracted from the readings.
         """
         use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.block_end_indices[-1]))
         design[use.ravel()] = to_dense(self._whitened_design_and_residuals()[0])[
@@ -136,7 +141,7 @@ class BatchNetwork(NominalNetwork):
     def _sparse_first_step(
         self, design: sp.csr_array, reading_deviations: Floats, other_residuals: Floats
     ) -> tuple[Floats, Floats]:
-        """Result of `_first_step` for a network with a sparse whitened `design` (rows, unknowns) of all observations.
+        """Result of `_first_step` for a network with the sparse whitened `design` (rows, unknowns) of all observations.
 
         `other_residuals` (rows, trials) are the whitened residuals of the observations except readings.
         """
@@ -148,7 +153,7 @@ class BatchNetwork(NominalNetwork):
         predicted[use] = sigma * (design @ without_effects)[: len(sigma)]
         return x, predicted
 
-    def _gradient(
+    def _write_gradient_and_cost(
         self,
         increments: Floats,
         reading_deviations: Floats,
@@ -157,7 +162,11 @@ class BatchNetwork(NominalNetwork):
         gradient: Floats,
         cost: Floats,
     ) -> None:
-        """Negative gradient (unknowns, trials) and sum of squares (trials,), written to `gradient` and `cost`."""
+        """Negative gradient (unknowns, trials) and sum of squares (trials,), written to `gradient` and `cost`.
+
+        `increments` (unknowns, trials) are the unknowns minus their nominal values. `predicted` (pointings, 3, trials)
+        are predicted minus nominal readings; they are improved by one Newton step.
+        """
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split_unknowns(increments)
         if self._has_additional_parameters:
@@ -166,7 +175,7 @@ class BatchNetwork(NominalNetwork):
             reading_deviations.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
         by_pose, by_points, by_values, by_extra = self.split_unknowns(gradient)
         residual = np.empty(reading_deviations.shape)
-        arrays = (self.chain_program, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
+        arrays = (self.kinematic_chain, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
@@ -177,7 +186,8 @@ class BatchNetwork(NominalNetwork):
     def _non_reading_residuals(self, increments: Floats, length_errors: Floats | None) -> Floats:
         """Whitened residuals (rows, trials) of reference lengths, control points, levels, priors and datum.
 
-        The residuals of lengths are exact; all others are linear in the `increments` (unknowns, trials).
+        The residuals of lengths are exact, all others are linear in `increments` (unknowns, trials), the unknowns minus
+        their nominal values.
         """
         design, nominal = self._non_reading_design
         residuals = nominal - multiply_by_trial(design, increments)

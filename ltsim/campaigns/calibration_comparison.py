@@ -1,4 +1,4 @@
-"""Comparison of calibrations of one recording by errors at new points, which none of the calibrations used."""
+"""Comparison of several calibrations of one recording by their errors at new points, which no calibration used."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from ltsim.adjustment.evaluation.clouds import CalibrationErrors, measured_point
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.results import Result, Table, number_columns, text_columns
@@ -22,9 +22,8 @@ from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 MAX_EQUAL_READING_DIFFERENCE = 1e-6
-"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
-noise of two recordings a larger one.
-"""
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives smaller differences; the
+noise of two different recordings gives larger ones."""
 HELD_OUT_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",
@@ -43,30 +42,33 @@ HELD_OUT_POINT_ERRORS_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class HeldOutPointErrors(Result):
-    """Errors at new points after each of several calibrations of one recording."""
+    """Errors at new points after correction of the readings by each of several calibrations of one recording."""
 
-    errors: Mapping[str, CalibrationErrors]
+    errors_by_calibration: Mapping[str, CalibrationErrors]
     """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""
 
-    def _lines(self) -> list[str]:
-        first_errors = next(iter(self.errors.values()))
+    def _summary_lines(self) -> list[str]:
+        first_errors = next(iter(self.errors_by_calibration.values()))
         raw, floor = first_errors.raw_rms / MICROMETRE, first_errors.true_parameters_rms / MICROMETRE
-        errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        errors = ", ".join(
+            f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors_by_calibration.items()
+        )
         return [f"Error of a new point: uncorrected {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
-        for name, error in self.errors.items():
+        """Rows of the table of errors [um], one for each calibration."""
+        for name, error in self.errors_by_calibration.items():
             sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
             yield [name, *(size / MICROMETRE for size in sizes), error.removed_error_fraction]
 
 
 def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
-    """True if two arrays of readings [m, rad] can come from the same recording.
+    """True if two arrays of readings [m, rad] may come from the same recording.
 
-    They may differ by rounding in files, and by readings that were excluded.
+    They may differ by rounding in files, and by readings that an adjustment excluded.
     """
     return readings.shape != other_readings.shape or not np.any(
         np.abs(readings - other_readings) > MAX_EQUAL_READING_DIFFERENCE
@@ -111,12 +113,12 @@ def compare_calibrations(
     --------
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
-    >>> judged = lt.compare_calibrations("paper-workshop", found, "paper-laboratory", seed=7)
-    >>> judged.to_dataframe()["calibration"].to_list()
+    >>> calibrations = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
+    >>> comparison = lt.compare_calibrations("paper-workshop", calibrations, "paper-laboratory", seed=7)
+    >>> comparison.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
-    check_bounds(seed=seed, trial=trial, required_argument="seed trial")
+    check_argument_bounds(seed=seed, trial=trial, required_argument="seed trial")
     base_scenario = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
     made, truth = measure_trial(make_measurement_geometry(base_scenario, seed), seed, trial)
@@ -128,9 +130,7 @@ def compare_calibrations(
             else made.readings
         )
         if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
-            raise InputError(
-                f"calibration '{name}' is not from seed {seed} and trial {trial}; give those of its recording"
-            )
+            raise InputError(f"calibration '{name}' is not from seed {seed} and trial {trial}; give its seed and trial")
     if not by_name:
         raise InputError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)

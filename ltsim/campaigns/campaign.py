@@ -1,9 +1,9 @@
-"""Execution of a campaign: workers compute shards, one process writes them, and any interruption can be resumed.
+"""Execution of a campaign: workers compute shards, one process writes them, and an interrupted run can be continued.
 
-A shard is a file with the rows of some trials of one cell, that is, of one combination of factor levels. The rows are
-identical byte by byte for any number of workers, any interruptions and either backend, if processor type and package
-versions are the same. Compiler and matrix library choose their instructions by the processor, which changes the last
-bit of a sum. The manifest names processor type and package versions.
+A shard is a file with the rows of some trials of one cell, that is, of one combination of factor levels. The rows do
+not depend, byte by byte, on the number of workers, on interruptions and on the backend. They may depend in the last
+digit on the processor type and the package versions, because compiler and matrix library choose their instructions by
+the processor. The manifest contains processor type and package versions.
 """
 
 import os
@@ -20,26 +20,26 @@ from typing import Any
 import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
-from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
+from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
-from ltsim.campaigns.shard_rows import ShardTask, cell_context, n_rows_of_shard, run_task
+from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
     CampaignFile,
     cad_files,
     load_campaign,
-    make_cells,
+    make_campaign_cells,
     path_relative_to_campaign_file,
-    read_cad,
+    read_cad_bytes,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
-from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
-from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
+from ltsim.campaigns.stopping import CellAndShardIndex, iterate_stopping_rounds
+from ltsim.campaigns.store import CAMPAIGN_FILE_NAME, CampaignFolder, interruption_error
 from ltsim.campaigns.true_network import make_campaign_geometry
-from ltsim.core.arguments import check_bounds, check_choice
-from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
+from ltsim.core.arguments import check_argument_bounds, check_argument_choice
+from ltsim.core.errors import InputError, WorkerError, option_text, reraise_as_input_error
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import safe_excerpt
@@ -47,19 +47,20 @@ from ltsim.recordings.settings import to_toml
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose versions can change the last digits of the rows; a campaign continues only with the same versions."""
-EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the campaign file that may be extended (more trials, levels, statistics) without changing existing rows."""
+"""Packages whose versions may change the last digits of the rows; a campaign is continued only with equal versions."""
+EXTENDABLE_CAMPAIGN_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
+"""Keys of the campaign file that may change when a campaign is continued, because additional trials, levels or
+statistics leave existing rows unchanged."""
 ProgressCallback = Callable[[int], None]
 """Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
 
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """Worker processes that compute the shards: processes on this machine, or workers of a Dask scheduler."""
+    """Worker processes that compute the shards (files of rows): on this machine, or as workers of a Dask scheduler."""
 
     n_processes: int = 1
-    """Number of worker processes on this machine; with Dask the scheduler determines the number."""
+    """Number of worker processes on this machine; ignored with Dask, where the scheduler determines the number."""
     backend: str = "local"
     """Kind of workers: `local` or `dask`."""
     scheduler: str = ""
@@ -68,8 +69,8 @@ class WorkerSettings:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.n_processes, required_argument="jobs")
-        check_choice("backend", self.backend, ("local", "dask"))
+        check_argument_bounds(jobs=self.n_processes, required_argument="jobs")
+        check_argument_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise InputError(
                 f"{option_text('scheduler')} is {self.scheduler}, which needs {option_text('backend=dask')}"
@@ -83,16 +84,16 @@ class WorkerSettings:
 
 @dataclass(frozen=True)
 class CampaignRunResult:
-    """Result of one run of a campaign: folder, numbers of shards, and notes for the user."""
+    """Result of one run of a campaign: folder, numbers of shards (files of rows), and notes for the user."""
 
     folder: Path
     """Folder of the campaign."""
     n_computed_shards: int
-    """Number of shards that this run computed and wrote."""
+    """Number of shards (files of rows) that this run computed and wrote."""
     n_existing_shards: int
-    """Number of shards that were complete before this run."""
+    """Number of shards (files of rows) that were complete before this run."""
     notes: tuple[str, ...]
-    """Notes for the user, for example on damaged shards that were computed again, or on another commit of ltsim."""
+    """Notes for the user, for example about damaged files of rows that were computed again."""
 
 
 def run_campaign(
@@ -106,15 +107,15 @@ def run_campaign(
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> CampaignRunResult:
-    """Run, continuation or extension of a campaign in `folder`, as `ltsim.campaign` but with a choice of workers.
+    """Run, continuation or extension of a campaign in `folder`, as by `ltsim.campaign` but with a choice of workers.
 
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
     `progress` is called with the number of rows (trials times methods) that were finished since the last call.
     """
-    with as_input_error():
+    with reraise_as_input_error():
         check_writable(folder, is_folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
-    factors, cells = make_cells(campaign, scenarios, file)
+    factors, cells = make_campaign_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
     sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
@@ -149,7 +150,7 @@ def run_campaign(
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
-            cell_context.cache_clear()
+            load_cell_context.cache_clear()
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
@@ -160,7 +161,7 @@ def run_campaign(
 def _input_files(
     campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
-    """Contents by name of the input files that are stored with the rows: scenarios, points, CAD and campaign files.
+    """Contents, by name, of the input files to be stored with the rows: scenarios, points, CAD and campaign files.
 
     If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
     """
@@ -173,22 +174,22 @@ def _input_files(
         resolved_path = path.resolve()
         is_in_folder = resolved_path.is_relative_to(root)
         name = resolved_path.relative_to(root).as_posix() if is_in_folder else path.name
-        contents[name] = read_cad(path)
+        contents[name] = read_cad_bytes(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE_NAME: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
 
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
-    """Notes on declared effects that change no reading; InputError for an error that would stop every trial."""
+    """Notes on declared effects that change no reading; raises InputError if every trial would fail."""
     unused_settings = []
     for method in campaign.methods:
-        estimated_construction(method)
+        estimated_error_model(method)
         estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
-        with as_input_error(f"{file}: {where}"):
+        with reraise_as_input_error(f"{file}: {where}"):
             geometry = make_campaign_geometry(cell.scenario, campaign.seed)
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
@@ -199,9 +200,10 @@ def _configuration_notes(
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Campaign in a folder with the additions of the campaign file: its content, and its cells.
+    """Content and cells of a campaign in a folder, after the additions of the campaign file.
 
-    Existing cells keep their numbers. InputError is raised if the file would change existing rows.
+    Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
+    existing rows.
     """
     if not resume:
         raise InputError(
@@ -219,12 +221,12 @@ def _extended_campaign(
         same = next((cell for cell in remaining if cell.digest == old.digest), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
-            changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
+            changed = [key for key in now if key not in EXTENDABLE_CAMPAIGN_KEYS and before.get(key) != now[key]] or [
                 "the scenario"
             ]
             raise InputError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option_text('out')}"
+                f"continue with {store.folder / CAMPAIGN_FILE_NAME}, or start again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
@@ -258,7 +260,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
                 f"continue with the same version, or start again with another {option_text('out')}"
             )
     notes = []
-    if (begun := manifest.commit) != (now := checkout_commit()):
+    if (begun := manifest.commit) != (now := git_commit_of_checkout()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
         notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor_type()):
@@ -271,15 +273,15 @@ def _package_versions() -> dict[str, str]:
 
 
 def processor_type() -> str:
-    """Type of the processor of this machine; together with package versions it determines the bytes of rows."""
+    """Type of the processor of this machine; equal types and package versions give identical bytes of rows."""
     return str(llvmlite.binding.get_host_cpu_name())
 
 
-def checkout_commit() -> str | None:
+def git_commit_of_checkout() -> str | None:
     """Git commit of the ltsim checkout from which the package runs; None for an installed package.
 
-    A package inside the checkout of another project is recognised: git does not track the package there, or the root of
-    the checkout is not the folder of the package.
+    An installed package may lie inside the checkout of another project. In this case git does not track the package
+    there, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
     git_arguments = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
@@ -307,7 +309,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         cells=tuple(cell.manifest_entry(cell_index, factors) for cell_index, cell in enumerate(cells)),
         versions=_package_versions(),
         processor=processor_type(),
-        commit=checkout_commit(),
+        commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
         scenarios=tuple(
             ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
@@ -319,14 +321,14 @@ def _pending_tasks_and_notes(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
-    shard_keys: list[ShardKey],
+    shard_keys: list[CellAndShardIndex],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
     """Tasks for the shards of `shard_keys` that are missing or incomplete, and notes on damaged shards.
 
     A damaged shard is renamed and computed again. `progress` is called with the number of rows of each complete shard.
     """
-    waiting, notes, digests = [], [], store.recorded_digests()
+    waiting, notes, digests = [], [], store.recorded_shard_digests()
     for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
@@ -345,7 +347,7 @@ def _pending_tasks_and_notes(
 
 
 def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the 95 % confidence interval of the mean of a statistic, by cell and method.
+    """Half-width of the 95 % confidence interval of the mean of `statistic`, by cell and method.
 
     Only the first `n_shards` shards of each cell (combination of factor levels) are used.
     """
@@ -358,7 +360,7 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
 def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Pairs of a task and the bytes of its shard's file, in the order of completion.
+    """Pairs of a task and the bytes of the file of rows (shard) that it computes, in the order of completion.
 
     The existing rows of a shard are passed to the worker with the task.
     """
@@ -370,11 +372,11 @@ def _computed_shards(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
+        yield from run_parallel(run_shard_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_task)(task) for task in pending_tasks)
+        yield from pool(delayed(run_shard_task)(task) for task in pending_tasks)
 
 
 @contextmanager

@@ -1,4 +1,7 @@
-"""Memory of the scenarios of a campaign's cells, of which thousands differ in a few values."""
+"""Sharing of equal values between the scenarios of the cells (combinations of factor levels) of a campaign.
+
+Thousands of scenarios that differ in a few values thus take little memory.
+"""
 
 from pathlib import Path
 from typing import TypeVar
@@ -9,16 +12,17 @@ from ltsim.core.errors import InputError
 from ltsim.simulation.scenario import Scenario
 
 MAX_MANIFEST_VALUES = 1_400_000
-"""Largest number of values in the scenarios of all cells together; the manifest contains all of them."""
+"""Largest number of values in the scenarios of all cells (combinations of factor levels) together, all of which are
+stored in the manifest."""
 
 ModelType = TypeVar("ModelType", bound=BaseModel)
-"""Type of a scenario, or of a section of one."""
+"""Type of a scenario, or of a table of a scenario."""
 
 
 def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
-    """Copy of a scenario, or of a section of one, in which values as in `base` are the same objects as there.
+    """Copy of `model`, a scenario or a table of one, that refers to the objects of `base` wherever values are equal.
 
-    The scenarios of thousands of cells then take little more memory than one scenario.
+    The scenarios of thousands of cells (combinations of factor levels) then take little more memory than one scenario.
     """
     shared_values = {}
     for name in type(model).model_fields:
@@ -36,9 +40,10 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
-    """Check that the manifest, which contains the scenario of every cell, has at most `MAX_MANIFEST_VALUES` values.
+    """Check that the scenarios of all cells together have at most `MAX_MANIFEST_VALUES` values.
 
-    `scenario` is the base scenario of `n_cells` cells. InputError names the campaign file `path`.
+    A cell is a combination of factor levels; `scenario` is the base scenario of the `n_cells` cells. InputError names
+    the campaign file `path`.
     """
     text = scenario.model_dump_json(by_alias=True)
     n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))

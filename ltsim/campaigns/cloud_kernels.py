@@ -1,8 +1,8 @@
 """Compiled functions on the measured points of many trials: means, rigid fits, disagreement, distance objective.
 
-`ltsim.adjustment.evaluation` computes the same quantities for single recordings. The last index of each array is the
-trial. A rigid fit starts from frames that agree within the size of the errors. Three Newton steps on the rotation then
-reach rounding error and replace a singular value decomposition.
+`ltsim.adjustment.evaluation` computes the same quantities for single recordings. The last axis of each array is the
+trial. A rigid fit starts from frames that already agree within the size of the errors, so that three Newton steps for
+the rotation reach rounding error. They replace a singular value decomposition.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from ltsim.campaigns.compilation import compile_function, value_of_trial
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_ROTATION_NEWTON_STEPS = 3
-"""Number of Newton steps for the rotation of a rigid fit."""
+"""Number of Newton steps for the rotation of a rigid fit, which starts near its result."""
 MICROMETRES_PER_METRE = 1e6
 """Number of micrometres in a metre, for criteria in um."""
 
@@ -20,8 +20,8 @@ MICROMETRES_PER_METRE = 1e6
 def add_weighted_points(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
     """Addition of measured points (pointings, 3, trials), times weights (pointings,), to point clouds, in place.
 
-    `clouds` (stations, targets, 3, trials) has the mean point of each station (or other set of pointings) on each
-    target. `station` and `target` (pointings,) are the indices of the cloud and of the target of each point.
+    `clouds` (stations, targets, 3, trials) receives the mean point of each target as measured from each station (or
+    other set of pointings). `station` and `target` (pointings,) are the indices of cloud and target of each point.
     """
     for i in range(len(points)):
         cloud = clouds[station[i], target[i]]
@@ -35,8 +35,8 @@ def add_weighted_points(points: Floats, station: Ints, target: Ints, weights: Fl
 def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
     """Transformation of the points of each station from its instrument frame to the network frame, in place.
 
-    `clouds` (stations, targets, 3, trials) are the points, `rotation` (stations, 3, 3) and `position` (stations, 3) the
-    nominal poses [m].
+    `clouds` (stations, targets, 3, trials) [m] are the points. `rotation` (stations, 3, 3) and `position` (stations, 3)
+    [m] are the nominal poses of the stations.
     """
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
@@ -69,7 +69,7 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 @compile_function
 def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -> None:
-    """Points (targets, 3, trials) minus their mean over the targets in `is_used_target`, written to `centred_cloud`."""
+    """Points (targets, 3, trials) minus their mean over the used targets, written to `centred_cloud`."""
     centred_cloud[:] = 0.0
     n_points = 0
     for k in range(len(cloud)):
@@ -189,10 +189,10 @@ def add_squared_errors(
 def distance_criterion(clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats) -> None:
     """Disagreement of stations in distances [um] (Sensors 2021, 21, 7479): mean and maximum over pairs of targets.
 
-    Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,). The disagreement on a pair is the
-    mean absolute deviation of its distance, as measured from each station, from the mean over stations. `clouds`
-    (stations, targets, 3, trials) [m] are the points of the stations, `is_visible` (stations, targets) is the mask of
-    the measured targets.
+    The distance of a pair of targets is measured from each station. Its disagreement is the mean absolute deviation
+    from the mean over stations. Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,).
+    `clouds` (stations, targets, 3, trials) [m] are the points measured from each station, `is_visible` (stations,
+    targets) is the mask of the measured targets.
     """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
@@ -232,10 +232,10 @@ def coordinate_criterion(
 ) -> None:
     """Disagreement of stations in coordinates [um] (Sensors 2021, 21, 7479): mean and maximum over targets.
 
-    Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,). The disagreement on a target is the
-    mean distance between its positions from two stations, over all pairs of stations. `aligned_clouds` (stations,
-    targets, 3, trials) [m] are the points of the stations in one frame, `is_visible` (stations, targets) is the mask of
-    the measured targets.
+    The disagreement on a target is the mean distance between its positions from two stations, over all pairs of
+    stations. Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,). `aligned_clouds`
+    (stations, targets, 3, trials) [m] are the points measured from each station, in one frame; `is_visible` (stations,
+    targets) is the mask of the measured targets.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
@@ -272,11 +272,11 @@ def _add_distance_gradient(
     derivative_size: Floats,
     distance: Floats,
 ) -> None:
-    """Addition of the part of an objective's gradient that comes from one distance, at both end points of the distance.
+    """Addition of the contribution of one distance to the gradient of an objective, at both end points of the distance.
 
     `first_gradient` and `second_gradient` (3, trials) are the gradients by the end points. `derivative_size` (trials,)
-    is the derivative of the objective by the distance between `first_point` and `second_point` (3, trials) [m]; it acts
-    along their line. `distance` (trials,) [m] is the distance between the two points.
+    is the derivative of the objective by the distance between `first_point` and `second_point` (3, trials) [m].
+    `distance` (trials,) [m] is this distance.
     """
     for c in range(3):
         for t in range(len(derivative_size)):
@@ -299,7 +299,7 @@ def _point_distances(first_point: Floats, second_point: Floats, distances: Float
 
 @compile_function
 def _reference_length_index(gauge_pairs: Ints, first_target: int, second_target: int) -> int:
-    """Index of the reference length between two targets in `gauge_pairs` (lengths, 2); -1 if there is none."""
+    """Index of the reference length between two targets in `gauge_pairs` (lengths, 2); -1 if they have none."""
     for g in range(len(gauge_pairs)):
         if (gauge_pairs[g, 0] == first_target and gauge_pairs[g, 1] == second_target) or (
             gauge_pairs[g, 0] == second_target and gauge_pairs[g, 1] == first_target
@@ -314,8 +314,8 @@ def distance_gradient(
 ) -> None:
     """Half of the derivative of the distance objective by the points, added to `point_gradient`.
 
-    `clouds` (sets, targets, 3, trials) [m] are the points of each set (one station and face) on each target;
-    `point_gradient` has the same shape; `is_visible` (sets, targets) is the mask of the measured targets.
+    `clouds` (sets, targets, 3, trials) [m] are the mean points of each target in each set of pointings (one station and
+    face); `point_gradient` has the same shape. `is_visible` (sets, targets) is the mask of the measured targets.
     `gauge_lengths` (lengths, trials) [m] are the reference lengths between the pairs of targets `gauge_pairs` (lengths,
     2). The value of the objective is added to `cost` (trials,).
     """

@@ -1,4 +1,4 @@
-"""Columns of a campaign's rows: levels of the factors, then results, each with its unit."""
+"""Columns of a campaign's rows: first the levels of the factors, then the results, each with its unit."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -8,20 +8,20 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import PARAMETER_UNIT_PLACEHOLDER, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import PARAMETER_UNIT_PLACEHOLDER, TRIAL_STATUSES, WITHOUT_RESULT, find_result_column
 from ltsim.core.arrays import Floats
 from ltsim.core.results import ColumnValues
 from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
 from ltsim.physics.model.construction import GeometricErrorModel
 
 ResultColumns = dict[str, NDArray[Any]]
-"""Values of result columns by column name, each array (trials,); the name of a length column contains its unit."""
-ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
-"""Arrow data type of a column, by the type of its values (`number`, `integer`, `boolean`)."""
+"""Result columns of several trials: array (trials,) by column name. The name of a length column contains its unit."""
+ARROW_TYPE_BY_VALUE_TYPE = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
+"""Arrow data type of a column, by the type of its values."""
 
 
 class ParameterLabel(NamedTuple):
-    """Label of a parameter of an instrument or effect in the names of columns."""
+    """Label of a parameter of an instrument or effect, which is part of the names of its columns."""
 
     text: str
     """Text of the label: ``beam-tilt``, ``beam-tilt@NAME`` for several instruments, ``head-sag:sag S2`` for an effect
@@ -64,8 +64,8 @@ def z_score_columns(
 ) -> ResultColumns:
     """Columns of z-scores, (estimate - true value) / sigma, of the parameters that have a true value.
 
-    `estimates` and `sigma` (parameters, trials) [SI] belong to the parameters `labels`, `truths` [SI] to the parameters
-    `true_labels`, in the same trials.
+    `estimates` and `sigma` (parameters, trials) [SI] belong to the parameters `labels`. `truths` (parameters, trials)
+    [SI] are the true values of the parameters `true_labels`.
     """
     true_values = {
         (label.text, label.effect): true_value for label, true_value in zip(true_labels, truths, strict=True)
@@ -79,7 +79,8 @@ def z_score_columns(
 
 
 def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    column = find_column(name)
+    """Metadata of a column: its unit and meaning; `parameters` holds the unit of each parameter by its label."""
+    column = find_result_column(name)
     if column is None:
         return {"unit": "", "meaning": ""}
     unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_PLACEHOLDER else column.unit
@@ -89,14 +90,17 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
 def append_factor_levels(
     table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """Rows of one cell with the levels of its factors as columns after `cell`, and with units as metadata.
+    """Rows of one cell (combination of factor levels), with the levels of its factors as columns after `cell`.
 
-    `parameters` holds the unit of each parameter in the rows, by the label of the parameter.
+    The metadata of the columns contain the units. `parameters` holds the unit of each parameter in the rows, by the
+    label of the parameter.
     """
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
-        f.name: pa.repeat(pa.scalar(level_by_factor[f.name], ARROW_TYPES.get(f.kind, pa.string())), len(table))
+        f.name: pa.repeat(
+            pa.scalar(level_by_factor[f.name], ARROW_TYPE_BY_VALUE_TYPE.get(f.kind, pa.string())), len(table)
+        )
         for f in factors
     }
     metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
@@ -109,7 +113,7 @@ def append_factor_levels(
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
-    """Table of the results of a method for the combination of factor levels number `cell`.
+    """Table of the results of a method in the cell (combination of factor levels) number `cell`.
 
     The rows of `column_groups` (one group per batch of trials) follow each other. Numbers are stored in single
     precision; a value that does not exist is empty.
@@ -139,5 +143,5 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
 
 
 def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Values by column name, from rows that are mappings with the same keys."""
+    """Values by column name, from rows that are mappings of column names to values."""
     return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

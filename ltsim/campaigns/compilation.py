@@ -11,7 +11,7 @@ from numba.extending import overload
 from ltsim.core.arrays import Floats
 
 ReturnType = TypeVar("ReturnType")
-"""Type of the result of a compiled function."""
+"""Type of the result of a function that is compiled."""
 
 if llvmlite.binding.llvm_version_info[0] >= 17:
     # Otherwise rows of one array are checked for overlap over all iterations of the outer loop, which always fails.
@@ -21,8 +21,8 @@ if llvmlite.binding.llvm_version_info[0] >= 17:
 def compile_function(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
     """Compiled version of a function: compiled at the first call, with the machine code cached next to the source.
 
-    Sums keep the order of the source; the compiler may only fuse a product and a sum. The function releases Python's
-    global interpreter lock.
+    Sums keep the order of the source; the compiler may only fuse a product with the following sum. The function
+    releases Python's global interpreter lock.
     """
 
     def compiled_kernel(caches_code: bool) -> Callable[..., ReturnType]:
@@ -36,19 +36,19 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
 
 
 def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
-    """Compiled version of a function that is inlined into its caller, so that the loops there are vectorised."""
+    """Compiled version of a function that is inlined into its caller, so that loops in the caller are vectorised."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., ReturnType], compiler(function))
 
 
 def value_of_trial(value: Floats | float, trial: int) -> float:
-    """Value of a quantity in a trial: the number that all trials share, or the trial's entry of an array (trials,)."""
+    """Value of a quantity in a trial: `value` if all trials share a number, else the entry of an array (trials,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 
 @overload(value_of_trial, strict=False)
 def _compiled_value_of_trial(value: object, trial: object) -> Callable[..., object]:
-    """Compiled form of `value_of_trial`: a scalar is returned unchanged, of an array the entry of the trial."""
+    """Compiled form of `value_of_trial`: returns a number unchanged, and of an array the entry of the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

@@ -1,4 +1,4 @@
-"""Experimental design of a campaign: factors, design points in ranges of keys, and names of factors in the rows."""
+"""Experimental design of a campaign: factors, points in ranges of several keys, and names of factors in the rows."""
 
 import json
 from collections import Counter
@@ -13,7 +13,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.scenario_keys import ValueType, value_at_key, value_type_of_key
+from ltsim.simulation.scenario_keys import KeyValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMN_NAMES = frozenset(
     {
@@ -21,17 +21,19 @@ RESERVED_COLUMN_NAMES = frozenset(
         "column", "unit", "mean", "standard_deviation", "low", "high", "minimum", "maximum",
     }
 )  # fmt: skip
-"""Names of the columns that every campaign has; a factor must have another name."""
+"""Names of the columns that the rows of every campaign have; no factor may have such a name."""
 N_DESIGN_POINT_DIGITS = 4
-"""Number of significant digits of a value at a design point. With four digits the points remain distinct and the values
-are easy to read.
-"""
+"""Number of significant digits to which values at design points are rounded, for readability; the points remain
+distinct."""
 MAX_DESIGN_KEYS = 64
-"""Largest number of keys that a design varies, each over one range of values."""
+"""Largest number of scenario keys that a design varies, each over a range of values."""
 
 
 class KeyRange(TomlSection):
-    """Range of one key of the scenario in a design, in the unit of the key; integers if the key takes integers."""
+    """Range over which a design varies one key of the scenario, in the unit of the key.
+
+    The values are integers if the key takes integers.
+    """
 
     low: Finite
     """Smallest value of the key."""
@@ -47,9 +49,9 @@ class KeyRange(TomlSection):
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
-        """Values at `fractions` (points,) of the range, 0 for its lowest value and 1 for its highest.
+        """Values at the fractions `fractions` (points,) of the range; 0 is its lowest value, 1 its highest.
 
-        All integers of the range are equally likely.
+        All integers of the range are equally likely if `is_integer` is true.
         """
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
@@ -57,7 +59,7 @@ class KeyRange(TomlSection):
 
 
 class SpaceFillingDesign(TomlSection):
-    """Design points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
+    """Space-filling design: points distributed evenly over ranges of several keys, instead of a full grid."""
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
@@ -74,9 +76,9 @@ class SpaceFillingDesign(TomlSection):
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
-        """Value of each key at each design point, drawn with the campaign's seed.
+        """Value of each key at each design point, drawn with the seed of the campaign.
 
-        `keys` maps the name of each range to a dotted key of the scenario; values are integers if this key takes
+        `keys` maps the name of each range to a dotted key of the scenario. Values are integers if this key takes
         integers.
         """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
@@ -92,19 +94,22 @@ class SpaceFillingDesign(TomlSection):
 
 
 class Factor(Entry):
-    """Factor of a campaign: a key of the scenario, or several keys, whose value differs between cells."""
+    """Factor of a campaign: one key of the scenario, or several linked keys, whose value differs between cells.
+
+    A cell is a combination of factor levels.
+    """
 
     name: str
     """Name of the factor, and of its column in rows and summary."""
     keys: tuple[str, ...]
-    """Dotted keys of the scenario that take the value of the factor."""
+    """Dotted keys of the scenario, such as `work.faces`, that take the value of the factor."""
     unit: str = ""
-    """Unit of the levels."""
-    kind: ValueType = "number"
-    """Type of the levels; tables are written as JSON."""
+    """Unit of the factor levels; empty for levels without a unit."""
+    kind: KeyValueType = "number"
+    """Type of the factor levels, such as `number`; tables are written as JSON."""
 
-    def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Level of the factor in a cell, from the TOML tables of the cell's scenario.
+    def level_in_scenario(self, scenario: Mapping[str, Any]) -> Any:
+        """Level of the factor in a cell (combination of factor levels), from the TOML tables of the cell's scenario.
 
         A table is returned as JSON text, a missing key as None.
         """
@@ -120,7 +125,7 @@ class Factor(Entry):
 
 
 def short_key_names(keys: Sequence[str]) -> dict[str, str]:
-    """Shortest suffix of each dotted key that is unique among all keys and reserved columns, by key."""
+    """Shortest ending of each dotted key that differs from all other keys and from reserved columns, by key."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
@@ -137,5 +142,5 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
-    """Description of a cell in one line: the level of each factor."""
+    """Description of a cell (combination of factor levels) in one line: the level of each factor."""
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

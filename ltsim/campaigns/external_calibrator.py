@@ -20,7 +20,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ltsim.core.errors import CalibratorError, InputError, RecordError, option_text
-from ltsim.core.parallel import PYTHON_SAFE_PATH_VARIABLE
+from ltsim.core.parallel import PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import safe_excerpt
@@ -28,15 +28,15 @@ from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 
 MAX_QUOTED_LINE_LENGTH = 300
-"""Largest number of characters, in a message, of the last line that an external program printed."""
+"""Largest number of characters that a message quotes from the last line printed by an external program."""
 RECORDING_PLACEHOLDER = "{recording}"
-"""Word of a calibrator command that is replaced by the path of the recording."""
+"""Placeholder in a calibrator command that is replaced by the path of the recording."""
 OUTPUT_PLACEHOLDER = "{out}"
-"""Word of a calibrator command that is replaced by the path of the output file."""
+"""Placeholder in a calibrator command that is replaced by the path of the output file."""
 
 
 class ParameterEstimate(NamedTuple):
-    """Estimate of a parameter by an external calibrator, in a unit that `ltsim effects` lists."""
+    """Estimate of one parameter by an external calibrator, in a unit that `ltsim effects` lists."""
 
     value: Finite
     """Estimated value."""
@@ -54,7 +54,7 @@ _ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
 """Validator (pydantic) of the estimates of an external calibrator, by parameter name."""
 
 
-def split_command(command: str) -> list[str]:
+def split_calibrator_command(command: str) -> list[str]:
     """List of the words of a command; raises InputError for a command without {recording} or {out}."""
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
@@ -73,8 +73,9 @@ def run_external_calibrator(
 ) -> dict[str, ParameterEstimate]:
     """Estimates of an external calibrator from a recording, by name of the parameter.
 
-    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result (exit
-    status other than 0, None, no file, a value that is not finite), InputError for one that cannot be started.
+    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result, for
+    example exit status 1, None, no file or an infinite value. InputError is raised for a program that cannot be
+    started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
@@ -84,7 +85,7 @@ def run_external_calibrator(
             return _validated_estimates(given)
         except RecordError as problem:
             raise CalibratorError(f"the calibrator's result for {trial_text} is not valid: {problem}") from None
-    words = split_command(calibrator)
+    words = split_calibrator_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
         write_recording(recording, folder)
@@ -93,7 +94,7 @@ def run_external_calibrator(
         ]
         try:
             environment = {
-                name: value for name, value in os.environ.items() if name != PYTHON_SAFE_PATH_VARIABLE
+                name: value for name, value in os.environ.items() if name != PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE
             }  # without the variable that only concerns processes of ltsim
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
@@ -133,7 +134,7 @@ def _read_estimates(file: Path) -> dict[str, list[object]]:
 
 
 def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
-    """Validated estimates by name of the parameter; raises RecordError."""
+    """Validated estimates by name of the parameter; raises RecordError for an invalid estimate."""
     try:
         estimates = _ESTIMATES_ADAPTER.validate_python(raw_estimates)
     except ValidationError as problem:

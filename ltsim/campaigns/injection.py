@@ -1,4 +1,4 @@
-"""Detectability of an effect in a given recording: the effect is injected, and the changed recording is diagnosed."""
+"""Detectability of an effect in a recording: the effect is injected, and the changed recording is diagnosed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.requested_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import random_stream
@@ -28,17 +28,16 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.injector import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 LAW_AMPLITUDE_NAME = "size"
-"""Name of the amplitude in the specification of a law, ``RESPONSE ~ REGRESSOR:size=VALUE``: the rms change of the
-observable on which the law acts, in um or urad.
-"""
+"""Name of the amplitude of a law (effect described by a formula), as in ``RESPONSE ~ REGRESSOR:size=VALUE``. The
+amplitude is the rms change of the response, in um or urad."""
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-"""Default noncentralities of the injections for a detection curve."""
+"""Default noncentralities (expected decrease of chi-square) of the injections for a detection curve."""
 MAX_EFFECT_DRAWS = 25
-"""Largest number of draws of the values of an effect that the user does not specify, until the effect changes the
-residuals. If it still does not, an error is raised."""
+"""Largest number of attempts to draw the unspecified values of an effect. If no attempt changes the residuals, an error
+is raised."""
 MIN_LOCATION_OVERLAP = 0.5
-"""Smallest overlap of a reported and the injected group of stations or targets at which the reported group counts as
-the injected one: number of members in both groups divided by number in at least one (Jaccard index)."""
+"""Smallest overlap at which a reported group of stations or targets counts as the group of the injected effect. The
+overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
 
 
 def inject(
@@ -47,7 +46,7 @@ def inject(
     noncentrality: float | None = None,
     seed: int = 0,
 ) -> RecordingWithInjection:
-    """Recording in which effects change the readings by their exact model; everything else is unchanged.
+    """Recording into which effects are injected: they change the readings by their exact model, and nothing else.
 
     Parameters
     ----------
@@ -55,12 +54,12 @@ def inject(
         Measured or simulated recording.
     *causes : str or Effect
         Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as for `calibrate` (``RESPONSE ~
-        REGRESSOR``). WHERE lists stations, targets, and values of constants and parameters in their units
-        (``range-step:S3,range-step=30``); a law has ``size=VALUE`` (rms change, um or urad). Stations, targets,
-        constants and sizes that are not given are drawn. Vectors are in the axes of the recording's adjustment.
+        REGRESSOR``). WHERE lists stations, targets, and values of shape parameters and other parameters in their units
+        (``range-step:S3,range-step=30``). A law has ``size=VALUE`` (rms change, um or urad). Everything that is not
+        given is drawn. Vectors are in the axes of the recording's adjustment.
     noncentrality : float, optional
-        Noncentrality to which the size of each effect is scaled: weighted sum of squares of the part of the effect that
-        remains in the residuals.
+        Noncentrality to which each effect is scaled: weighted sum of squares of the part of the effect that remains in
+        the residuals. By default the effects are not scaled.
     seed : int
         Seed of all random draws.
 
@@ -83,7 +82,7 @@ def inject(
     >>> round(truth.injected_effects[0].noncentrality)
     100
     """
-    check_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
+    check_argument_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
     if not causes:
         raise ModelError(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
@@ -102,7 +101,7 @@ def inject(
     for number, cause in enumerate(causes):
         rng = random_stream(seed, "inject", number)
         drawn, values = _scaled_effect(injector, cause, noncentrality, rng)
-        changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
+        changed_recording, entry = injector.inject(drawn, values, _name_of_effect(cause), rng)
         injector = injector.with_recording(changed_recording)
         injected.append(entry)
     return RecordingWithInjection(changed_recording, InjectionTruth(seed, tuple(injected)))
@@ -141,7 +140,7 @@ def injection_curve(
     ModelError
         If the effect does not exist or changes no residual, or without a positive strength and an injection.
     """
-    check_bounds(injections=injections, seed=seed, required_argument="injections seed")
+    check_argument_bounds(injections=injections, seed=seed, required_argument="injections seed")
     if not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a detection curve needs at least one noncentrality (strengths), each of them above 0")
     original = load_recording(recording)
@@ -154,11 +153,11 @@ def injection_curve(
         ]
         curve_rows.append(_detection_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(curve_rows))
+    return DetectionCurve(_name_of_effect(cause), effect_names, tuple(curve_rows))
 
 
-def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
-    """Name of an effect from its catalogue object; a text is returned unchanged."""
+def _name_of_effect(cause: str | CandidateEffect | SizedEffect) -> str:
+    """Name of an effect object; a text is returned unchanged."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
@@ -167,8 +166,8 @@ def compare_with_injection(
 ) -> dict[str, bool]:
     """Success of a diagnosis for an injected effect, as flags `detected`, `placed` (located), `named` and `right`.
 
-    Findings that `background_diagnosis`, the diagnosis of the recording without injection, reports too do not count.
-    `right` is True if the first new finding has the name and the stations and targets of the effect.
+    A finding does not count if `background_diagnosis`, the diagnosis of the recording without injection, also reports
+    it. The flag `right` is true if the first new finding has the name and the stations and targets of the effect.
     """
     background_keys = {_finding_key(f) for f in background_diagnosis.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
@@ -185,13 +184,13 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    """Key by which equal findings are recognised: effect, stations, targets and observables."""
+    """Effect, stations, targets and observables of a finding, which identify equal findings of two diagnoses."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
 def _has_same_location(cause: CandidateEffect, finding: Any) -> bool:
-    """True if a finding has the stations and targets of the injected effect, and acts on one of its observables."""
+    """True if a finding has the stations and targets of the injected effect `cause`, and one of its observables."""
     scope = finding.where
     place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_LOCATION_OVERLAP * len(a | b) for a, b in place_pairs)
@@ -204,7 +203,7 @@ def _detection_curve_row(
 ) -> dict[str, float]:
     """Row of a detection curve at one noncentrality: counts, and confidence intervals of the fractions.
 
-    `comparisons` are the results of `compare_with_injection` for the `injected_effects`.
+    `comparisons` are the results of `compare_with_injection` for each effect in `injected_effects`.
     """
     row: dict[str, float] = {"noncentrality": noncentrality, "injections": len(comparisons)}
     row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in injected_effects]))
@@ -227,7 +226,8 @@ def _scaled_effect(
 ) -> tuple[CandidateEffect, Floats]:
     """Effect with its stations and targets, and its parameter values (parameters,) [SI], scaled to a noncentrality.
 
-    If the drawn effect changes no residual, its unspecified values are drawn again.
+    `noncentrality` is None if the effect is not scaled. If the drawn effect changes no residual, its unspecified values
+    are drawn again.
     """
     for attempt in range(MAX_EFFECT_DRAWS):
         drawn, values = _drawn_effect(injector, cause, random_generator)
@@ -244,7 +244,7 @@ def _scaled_effect(
 def _drawn_effect(
     injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its stations and targets, and its parameter values (parameters,) [SI]; missing ones are drawn."""
+    """Effect with its stations and targets, and its parameter values (parameters,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split_parameter_values(cause)
         requested_effect = parse_requested_effect(text, injector.recording)
@@ -270,7 +270,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(effect_specification: str) -> tuple[str, dict[str, float]]:
-    """Specification of an effect without the parameter values in it, and the parameter values by parameter name."""
+    """Text of an effect's specification without the parameter values in it, and these values by parameter name."""
     name, _, rest = effect_specification.partition(":")
     names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}

@@ -1,6 +1,6 @@
 """Compiled functions for a batch of trials: exact kinematic chain, and residuals of the network.
 
-The last index of all arrays is the trial, so that every inner loop is vectorised. A quantity of the network geometry is
+The last axis of all arrays is the trial, so that every inner loop is vectorised. A quantity of the network geometry is
 a number that all trials share, or an array (trials,). Small angles use power series, which are exact to rounding below
 0.01 rad. All functions are in one file because the compiler's cache depends only on the file of the compiled function.
 """
@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.compilation import compile_function, compile_inlined, value_of_trial
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
-"""Step [m, rad] below which Newton's method for the inversion of the chain ends; the remaining error is smaller than
-the step by a factor of 1e-4."""
+"""Step [m, rad] below which Newton's method for the inversion of the kinematic chain ends; the remaining error is at
+most 1e-4 of the step."""
 MAX_BATCH_NEWTON_STEPS = 8
-"""Largest number of Newton steps for the inversion of the kinematic chain: readings from target positions."""
+"""Largest number of Newton steps for the inversion of the kinematic chain (readings from target positions)."""
 
 
 @compile_inlined
 def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[float, float]:
-    """Cosine and sine of the sum of an angle, given by cosine and sine, and a small angle [rad]."""
+    """Cosine and sine of an angle plus `small_angle` [rad], from the cosine and sine of the angle."""
     square = small_angle * small_angle
     s = small_angle * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
     c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
@@ -41,9 +41,9 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 
 @compile_function
 def _motion_amounts(
-    pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
+    pointing: int, chain: ChainArrays, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
-    """Deviations of the motions' amounts from nominal [m, rad], written to `amounts` (motions, trials)."""
+    """Amounts of the chain's motions minus nominal amounts [m, rad], written to `amounts` (motions, trials)."""
     _, _, sign, reading_indices, _, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(reading_indices)):
@@ -78,7 +78,7 @@ def _motion_amounts(
 
 
 @compile_function
-def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
+def _forward_chain(pointing: int, chain: ChainArrays, amounts: Floats, path: Floats) -> None:
     """Measured point [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
@@ -110,7 +110,7 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
 @compile_function
 def _backpropagate(
     pointing: int,
-    chain: ChainProgram,
+    chain: ChainArrays,
     deviation: Floats,
     amounts: Floats,
     path: Floats,
@@ -118,7 +118,7 @@ def _backpropagate(
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtraction of `point_grad` (3, trials) times the target's derivative by each parameter from `gradient`."""
+    """Product of the point gradient `point_grad` and the derivative by each parameter, subtracted from `gradient`."""
     is_rotation, axis, sign, _, amount, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
@@ -161,8 +161,8 @@ def _backpropagate(
 
 
 @compile_function
-def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
-    """Measured points (pointings, 3, trials) [m] in instrument frames for parameters `values` [SI], put in `points`."""
+def compute_points(chain: ChainArrays, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
+    """Points (pointings, 3, trials) [m] in instrument frames, from reading deviations, written to `points`."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
@@ -176,7 +176,7 @@ def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, val
 
 @compile_function
 def compute_readings(
-    chain: ChainProgram,
+    chain: ChainArrays,
     instrument: Ints,
     local_points: Floats,
     point_derivatives: Floats,
@@ -187,7 +187,7 @@ def compute_readings(
 
     `local_points` (pointings, 3) [m] are targets in instrument frames. `deviation` contains the start values and
     receives the result. `point_derivatives` (pointings, 3, 3) is the derivative of an ideal tracker's readings by the
-    point; each step multiplies the error by the size of the instrument's errors.
+    point. Each step multiplies the error by the size of the instrument's errors.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -216,7 +216,7 @@ def compute_readings(
 
 @compile_function
 def backpropagate_mean_gradients(
-    chain: ChainProgram,
+    chain: ChainArrays,
     instrument: Ints,
     station_face_indices: Ints,
     target: Ints,
@@ -228,8 +228,8 @@ def backpropagate_mean_gradients(
 ) -> None:
     """Negative gradient of an objective by the instrument parameters, added to `parameter_gradient`.
 
-    `mean_gradients` (sets, targets, 3, trials) is the derivative of the objective by the mean point of each set (one
-    station and face) and target. A pointing contributes to it with the weight `mean_weights` (pointings,).
+    `mean_gradients` (sets, targets, 3, trials) is the derivative by the mean point of each set (one station and face)
+    and target. `mean_weights` (pointings,) are the weights of the pointings in these mean points.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -246,7 +246,7 @@ def backpropagate_mean_gradients(
 
 @compile_function
 def network_gradient(
-    chain: ChainProgram,
+    chain: ChainArrays,
     instrument: Ints,
     station: Ints,
     target: Ints,
@@ -268,16 +268,16 @@ def network_gradient(
     """Whitened residuals (pointings, 3, trials) of readings, and negative gradients of half their sum of squares.
 
     The negative gradient is the right side of the normal equations. The chain is evaluated at the *predicted* readings,
-    never at the measured ones: the derivative at a reading with noise is correlated with this noise, which would bias
-    the range scale by chi-square times its sigma (5e-4 sigma).
+    never at the measured ones. The derivative at a measured reading is correlated with its noise, which would bias the
+    range scale by chi-square times its variance (5e-4 sigma).
 
     Nominal quantities: `station_to_target` (pointings, 3) vectors [m], `rotation` (stations, 3, 3) of the stations,
     `point_derivatives` (pointings, 3, 3) of an ideal tracker's readings by the target in the instrument's frame.
     `weight` (pointings, 3) is one over the standard deviation, zero for an unmeasured reading. `deviation` (pointings,
     3, trials) is measured minus nominal readings, without the changes by additional effects. `predicted` (pointings, 3,
-    trials) is predicted minus nominal readings: it contains the values of the previous state and is improved by one
-    Newton step to this state. `pose` (stations, 6, trials), `points` (targets, 3, trials) and `values` (instruments,
-    parameters, trials) are increments of the state. Gradients and sum of squares are added to the last four arguments.
+    trials) is predicted minus nominal readings, improved here by one Newton step. `pose` (stations, 6, trials),
+    `points` (targets, 3, trials) and `values` (instruments, parameters, trials) are unknowns minus nominal values.
+    Gradients and sum of squares are added to the last four arguments.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -300,7 +300,7 @@ def _station_to_target(
 ) -> None:
     """Vector from station to target in the network frame, and its difference from the measured vector.
 
-    They are written to rows 0 to 2 and 3 to 5 of `work_rows`; a loop over few rows is compiled to vector instructions.
+    They are written to rows 0 to 2 and 3 to 5 of `work_rows`. A loop over few rows is compiled to vector instructions.
     """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -334,7 +334,7 @@ def _target_gradient(
     point_grad: Floats,
     cost: Floats,
 ) -> None:
-    """Negative gradient by the target from one pointing of each trial, written to `point_grad` (3, trials).
+    """Negative gradient by the target, from one pointing of each trial, written to `point_grad` (3, trials).
 
     Whitened residuals are written to `residual` (3, trials), and their squares are added to `cost` (trials,).
     """
@@ -369,7 +369,7 @@ def _target_gradient(
 def _add_network_gradients(
     rotation: Floats, pose: Floats, work_rows: Floats, grad: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of target and station."""
+    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of its target and station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -394,7 +394,7 @@ def _add_network_gradients(
         hz[t] += vx * ay[t] - vy * ax[t]
 
 
-def is_compiled() -> bool:
+def has_cached_machine_code() -> bool:
     """True if the machine code of the functions of this module is in the cache of this installation."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

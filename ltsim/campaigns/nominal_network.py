@@ -1,4 +1,4 @@
-"""Network with nominal (error-free) readings: design matrix, normal matrix and standard deviations of its unknowns."""
+"""Network with nominal (error-free) readings: design matrix, normal matrix and standard deviations of the unknowns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.campaigns.chain_program import ChainProgram
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import pose_jacobian
@@ -31,13 +31,13 @@ from ltsim.solve.design import (
 )
 
 MAX_DENSE_NETWORK_ENTRIES = 4_000_000
-"""Largest number of entries of the design matrix of a network that is stored as a dense array, which is faster than a
-sparse one; it takes 30 MiB."""
+"""Largest number of entries of a design matrix that is stored as a dense array, in 30 MiB. Dense arrays are faster than
+sparse ones for small networks."""
 
 
 @dataclass(frozen=True)
 class SharedDerivatives:
-    """Derivatives of one network that are reused for another network with the same set-up and pointings."""
+    """Derivatives of the readings of one network, reused for another network with the same set-up and pointings."""
 
     network: NominalNetwork
     """Network from which the derivatives are taken; it has the same set-up and pointings but other coordinates."""
@@ -48,19 +48,19 @@ class SharedDerivatives:
 
 
 class _Factorisation(NamedTuple):
-    """Factorised normal matrix of a nominal network, and designs with its columns reordered as the unknowns."""
+    """Factorised normal matrix of a nominal network, and design matrices with columns in the order of unknowns."""
 
     cholesky_factor: Floats
     """Lower Cholesky factor (unknowns, unknowns) of the normal matrix, scaled to a unit diagonal."""
     column_scales: Floats
-    """Scales (unknowns,) of the unknowns."""
+    """Scales (unknowns,) that give the normal matrix a unit diagonal."""
     non_reading_design: Floats
     """Whitened design (rows, unknowns) of all observations except readings."""
     non_reading_residuals: Floats
     """Whitened nominal residuals (rows, 1) of all observations except readings."""
     sparse_design: sp.csr_array | None
-    """Whitened design (rows, unknowns) of all observations, with columns in the order of the problem; None for a
-    network with a dense design."""
+    """Whitened design (rows, unknowns) of all observations, with columns in the order of the least-squares problem;
+    None for a network with a dense design."""
 
 
 @dataclass(frozen=True)
@@ -70,21 +70,21 @@ class NominalNetwork:
     recording: Recording
     """Recording with nominal readings, which an ideal tracker reads at `state`."""
     state: NetworkState
-    """Nominal state of the network: true poses of the stations and true targets."""
+    """True poses of the stations and true positions of the targets, at which the nominal readings are computed."""
     construction: GeometricErrorModel
     """Geometric error model of the instruments; its parameters are estimated."""
-    chain_program: ChainProgram
+    kinematic_chain: ChainArrays
     """Kinematic chain of the geometric error model, linearised at the nominal readings."""
     effects: tuple[Effect, ...] = ()
-    """Additional effects that are estimated; the nuisance errors that the recording declares are estimated too."""
+    """Effects that are estimated in addition to the instrument parameters and to the declared nuisance errors."""
     shared_derivatives: SharedDerivatives | None = None
-    """Derivatives of another network with the same set-up, to be reused; None if they are to be computed."""
+    """Derivatives of another network with the same set-up, which are reused; None if they have to be computed."""
     is_adjusted_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Mask (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """Measurement model, the same as in the adjustment of a single recording."""
+        """Measurement model that predicts the readings, the same as in the adjustment of a single recording."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared_derivatives is not None:
             vars(model)["nuisance_errors"] = self.shared_derivatives.network.model.nuisance_errors
@@ -92,7 +92,7 @@ class NominalNetwork:
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """Least-squares problem at the nominal state, with the observations of the adjustment of a single recording."""
+        """Least-squares problem at the nominal unknowns, with the observations of an adjustment of one recording."""
         if self.shared_derivatives is None:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
@@ -100,8 +100,8 @@ class NominalNetwork:
         return self.shared_derivatives.network.problem.with_positions_of_model(self.model)
 
     @cached_property
-    def nominal_state(self) -> NetworkState:
-        """Nominal state of the network, with all instrument and effect parameters zero."""
+    def state_with_zero_parameters(self) -> NetworkState:
+        """True poses and targets, with all parameters of instruments and effects equal to zero."""
         n_instruments = len(self.recording.instruments)
         return NetworkState(
             self.state.station_positions,
@@ -113,7 +113,7 @@ class NominalNetwork:
 
     @cached_property
     def block_end_indices(self) -> tuple[int, int, int, int]:
-        """End indices of poses, targets, instrument parameters and effect parameters in the vector of unknowns."""
+        """End indices of the blocks of unknowns: poses, targets, instrument parameters, effect parameters."""
         unknowns = self.problem.unknowns
         pose = unknowns.pose_columns.size
         targets = pose + unknowns.target_columns.size
@@ -122,7 +122,7 @@ class NominalNetwork:
 
     @cached_property
     def column_order(self) -> Ints:
-        """Columns (unknowns,) of the design matrix of `problem`, reordered to poses, targets, parameters, effects."""
+        """Columns (unknowns,) of the design matrix of `problem` in the order poses, targets, parameters, effects."""
         if self.shared_derivatives is not None:
             return self.shared_derivatives.network.column_order
         unknowns = self.problem.unknowns
@@ -152,7 +152,7 @@ class NominalNetwork:
 
     @cached_property
     def _factorisation(self) -> _Factorisation:
-        """Quantities that need the whole design matrix, computed together, so that a dense one is not kept.
+        """Factorised normal matrix and designs, computed together so that a dense design matrix is not kept in memory.
 
         InputError is raised for undetermined unknowns.
         """
@@ -180,18 +180,18 @@ class NominalNetwork:
         The design is a sparse matrix if it has more than `MAX_DENSE_NETWORK_ENTRIES` entries.
         """
         prediction = (
-            self.problem.model.linearise(self.nominal_state)
+            self.problem.model.linearise(self.state_with_zero_parameters)
             if self.shared_derivatives is None
             else self._nominal_prediction(self.shared_derivatives)
         )
         system = self.problem.linear_system(
-            self.nominal_state, replace(prediction, extra_derivatives=self._additional_parameter_design)
+            self.state_with_zero_parameters, replace(prediction, extra_derivatives=self._additional_parameter_design)
         )
         is_small = system.design.shape[0] * system.design.shape[1] <= MAX_DENSE_NETWORK_ENTRIES
         return to_dense(system.design) if is_small else system.design, system.whitened_residuals
 
     def _nominal_prediction(self, derivatives: SharedDerivatives) -> Prediction:
-        """Predicted readings at the nominal state and their derivatives, equal to `MeasurementModel.linearise`."""
+        """Predicted readings at nominal unknowns, with their derivatives, equal to `MeasurementModel.linearise`."""
         recording, state = self.recording, self.state
         by_target = derivatives.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
@@ -202,7 +202,7 @@ class NominalNetwork:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (unknowns, unknowns) [SI] at the nominal state; the first pose defines the datum."""
+        """Covariance (unknowns, unknowns) [SI] at the nominal unknowns; the pose of the first station is the datum."""
         root, scale = self.cholesky_and_scales
         return inverse_from_cholesky(root) * np.outer(scale, scale)
 
@@ -227,6 +227,7 @@ class NominalNetwork:
 
     @cached_property
     def _network_frame(self) -> DeclaredFrame:
+        """Frame of the network, as the levels and control points of the recording define it."""
         return (
             DeclaredFrame.from_recording(self.recording)
             if self.shared_derivatives is None
@@ -236,7 +237,7 @@ class NominalNetwork:
     @cached_property
     def _sightings_in_floor_plan_frame(self) -> Sightings:
         """Pointings in the frame of the floor plan, in which the directions of nests are declared."""
-        state = self.nominal_state
+        state = self.state_with_zero_parameters
         motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
         if motion is not None:
             turn, shift = motion
@@ -253,23 +254,26 @@ class NominalNetwork:
 
     @cached_property
     def _additional_parameter_design(self) -> Floats:
-        """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
+        """Change (pointings, 3, effect parameters) of the readings per unit of each parameter of effects.
+
+        Nuisance errors that the recording declares count as effects.
+        """
         if not self.model.effects_and_nuisance_errors:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._sightings_in_floor_plan_frame)
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation (pointings, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
+        """Standard deviations of the readings, (pointings, 3) [m, rad, rad]; infinite for unmeasured readings."""
         return np.where(self.problem.is_used_reading, self.problem.reading_sigmas, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Views of the unknowns (unknowns, trials): poses, targets, instrument parameters and effect parameters.
+        """Views of `unknowns` (unknowns, trials) by block: poses, targets, instrument parameters and effect parameters.
 
-        The last index of each view is the trial; the first is station, target, instrument or effect parameter.
+        The first axis of each view is station, target, instrument or effect parameter; the last axis is the trial.
         """
         pose, targets, values, _ = self.block_end_indices
-        shape = self.nominal_state.instrument_parameters.shape
+        shape = self.state_with_zero_parameters.instrument_parameters.shape
         return (
             unknowns[:pose].reshape(-1, 6, unknowns.shape[1]),
             unknowns[pose:targets].reshape(-1, 3, unknowns.shape[1]),

@@ -1,21 +1,22 @@
-"""Recovery of injected errors within their declared uncertainty, as a check for continuous integration.
+"""Recovery of true instrument errors by calibrations of simulated recordings, as a check for continuous integration.
 
-Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), calibrates it with ltsim or an
-external calibrator, and divides the errors of the estimates by their declared standard deviations (z-scores). There are
-two modes for the true errors of the instrument:
+Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`) and calibrates it with ltsim or an
+external calibrator. The errors of the estimates are divided by their declared standard deviations (z-scores). There are
+two origins of the true errors of the instrument:
 
 * `drawn`: every parameter is drawn from its prior. For a correct model and a correct covariance the z-scores are
   standard normal.
 * `stated`: the scenario declares the parameters, or declares that they are drawn. The prior biases the estimate of a
   fixed parameter towards the prior mean and reduces its scatter. Bias and scatter follow from the covariance C of the
-  estimates, in units of prior standard deviations: for the true parameters t the mean error is -C t, and the covariance
-  of the errors is C - C C. Errors minus this mean, divided by the standard deviation from this covariance, are standard
-  normal too. In addition, the declared 95 % intervals have to contain the true value in at least 95 % of the trials.
+  estimates, in units of prior standard deviations: for the true parameters t the mean error is -C t, and the
+  covariance of the errors is C - C C. Errors minus this mean, divided by the standard deviation from this covariance,
+  are standard normal too. In addition, the declared 95 % intervals have to contain the true value in at least 95 % of
+  the trials.
 
-The prior of an external calibrator is unknown. In the mode `drawn` its z-scores have to be standard normal. In the mode
-`stated` their mean has to be 0 and their standard deviation at most 1, and the intervals have to contain the true
-value. A parameter with neither a standard deviation nor a tolerance is not checked, and a run with such a parameter
-does not pass unless this is permitted. Chi-square, targets and stations are checked only for ltsim's calibrator.
+The prior of an external calibrator is unknown. With errors `drawn` its z-scores have to be standard normal. With errors
+`stated` the mean of the z-scores has to be 0, their standard deviation at most 1, and the intervals have to contain the
+true value. A parameter without a standard deviation and without a tolerance is not checked. A run with such a parameter
+passes only if this is permitted. Chi-square, targets and stations are checked only for ltsim's calibrator.
 """
 
 import time
@@ -27,7 +28,7 @@ from pydantic import Field, PrivateAttr
 
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
-from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_calibrator_command
 from ltsim.campaigns.recovery_checks import RECOVERY_CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
     CONVERGENCE_CHECK_NAME,
@@ -38,15 +39,15 @@ from ltsim.campaigns.recovery_trials import (
     RecoverySettings,
     RecoveryTolerance,
     RecoveryTrials,
-    run_trials,
+    run_recovery_trials,
 )
-from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
+from ltsim.campaigns.schema import InstrumentErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
-from ltsim.core.arguments import check_bounds, check_choice, check_mapping
+from ltsim.core.arguments import check_argument_bounds, check_argument_choice, check_mapping_argument
 from ltsim.core.errors import InputError, ModelError, option_text
 from ltsim.core.notation import names_text
 from ltsim.core.results import Table
-from ltsim.core.units import parse_in_unit
+from ltsim.core.units import parse_quantity_in_unit
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import make_construction as construction_called
@@ -56,8 +57,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
 MAX_EARLY_FAILURES = 3
-"""Number of failed trials of an external calibrator after which a run ends. A command that does not work fails in every
-trial, and with one failed trial the check of convergence fails."""
+"""Number of failed trials of an external calibrator after which a run ends, because a command that does not work fails
+in every trial. One failed trial is enough for the convergence check to fail."""
 MAX_LISTED_PARAMETERS = 3
 """Largest number of parameters that a sentence lists; tables and files contain all parameters."""
 
@@ -69,29 +70,29 @@ class Recovery(ResultFile):
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
     """Format and version of this file."""
     passed: bool
-    """True if all checks passed and no parameter is unchecked (unless that is permitted)."""
-    error_origin: ErrorOrigin = "drawn"
-    """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
+    """True if all checks passed and no parameter is unchecked, unless unchecked parameters are permitted."""
+    error_origin: InstrumentErrorOrigin = "drawn"
+    """Origin of the true instrument errors: `drawn` from the prior, or `stated` (declared) by the scenario."""
     trials: NonNegativeInt
     """Number of trials."""
     trials_with_result: NonNegativeInt
-    """Number of trials with a result."""
+    """Number of trials in which the calibration converged."""
     seed: NonNegativeInt
     """Seed of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks of one number against two limits each. A correct model fails at least one of them in one run of 100."""
+    """Checks that a number lies between two limits. A correct model fails at least one of them in one run of 100."""
     parameters: tuple[RecoveredParameter, ...] = ()
-    """Errors of each parameter over the trials."""
+    """Statistics of the errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
-    """All parameters that ltsim estimates in the same recordings, if another calibrator is checked."""
+    """Names of all parameters that ltsim estimates in the same recordings, if another calibrator is checked."""
     unchecked_parameters: tuple[str, ...] = ()
-    """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
+    """Names of the parameters without a check: they have neither a sigma in each trial nor a tolerance."""
     allow_unchecked: bool = False
     """True if the run may pass with unchecked parameters."""
     tolerances: dict[str, str] = Field(default_factory=dict)
-    """Given tolerances by parameter; if there are any, only these parameters are checked."""
+    """Tolerances of the user by parameter, such as `2 urad`. If there are any, only these parameters are checked."""
     last_failure_reason: str = ""
-    """Reason of the last failure of a trial."""
+    """Reason of the last failed trial; empty if no trial failed."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
     @classmethod
@@ -119,18 +120,20 @@ class Recovery(ResultFile):
     def arrays(self) -> RecoveryTrials:
         """Arrays of the trials; raises ModelError for a result that was read from a file."""
         if self._arrays is None:
-            raise ModelError("a recovery read from a file has no trials; trials.csv in its folder has them")
+            raise ModelError(
+                "a result read from recovery.json has no arrays; trials.csv in its folder contains the trials"
+            )
         return self._arrays
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [
-            f"Recovery, errors {self.error_origin}: {self.trials} trials, {self.trials_with_result} converged: "
+            f"Recovery (errors {self.error_origin}): {self.trials} trials, {self.trials_with_result} with a result; "
             f"{self.verdict_text()}",
             *self.unestimated_parameter_sentences(),
             *self.failure_sentences(),
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "checks": lambda: RECOVERY_CHECKS_TABLE.with_rows(self.checks),
             "parameters": lambda: RECOVERED_PARAMETERS_TABLE.with_rows(self.parameters),
@@ -138,11 +141,11 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks whose number is outside its bounds."""
+        """Checks whose number is outside its limits."""
         return [check for check in self.checks if not check.passed]
 
     def unestimated_parameter_sentences(self) -> list[str]:
-        """Sentence on the parameters that ltsim estimates but the checked calibrator does not; empty without any."""
+        """Sentences on parameters that ltsim estimates but the checked calibrator does not; empty without any."""
         more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
         if not more:
             return []
@@ -174,7 +177,7 @@ class Recovery(ResultFile):
         return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"
 
     def failure_reason(self, check: RecoveryCheck) -> str:
-        """Reason of a failed check: last error of a trial (convergence), or value and bounds (other checks)."""
+        """Reason of a failed check: last error of a trial (convergence check), or value and limits (other checks)."""
         return (
             self.last_failure_reason
             if check.subject == CONVERGENCE_CHECK_NAME and self.last_failure_reason
@@ -182,7 +185,7 @@ class Recovery(ResultFile):
         )
 
     def failure_sentences(self) -> list[str]:
-        """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
+        """Sentences on each reason why the run does not pass, and on unchecked parameters."""
         sentences = [check.sentence() for check in self.failed_checks()]
         if self.last_failure_reason and self.trials_with_result < self.trials:
             sentences.insert(0, self.last_failure_reason)
@@ -211,7 +214,7 @@ def recover(
     calibrator: ExternalCalibrator | None = None,
     tolerance: Mapping[str, str] | None = None,
     allow_unchecked: bool = False,
-    errors: ErrorOrigin | None = None,
+    errors: InstrumentErrorOrigin | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
@@ -261,10 +264,10 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failure_sentences()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
-    check_mapping("tolerance", tolerance)
-    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
-    check_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
+    check_argument_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
+    check_mapping_argument("tolerance", tolerance)
+    check_argument_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
+    check_argument_choice("errors", errors, get_args(InstrumentErrorOrigin), allow_none=True)
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
         raise InputError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
@@ -272,7 +275,7 @@ def recover(
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise InputError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
     if isinstance(calibrator, str):
-        split_command(calibrator)
+        split_calibrator_command(calibrator)
     elif calibrator is not None:
         jobs = 1
     effects = effect_tuple(with_effects)
@@ -282,11 +285,11 @@ def recover(
     settings = RecoverySettings(method, model, requested_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
-    with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
+    with closing(run_recovery_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for given_outcome in outcomes:
             outcome = _failed_if_parameters_differ_from_first_trial(given_outcome, done)
             if isinstance(outcome, FailedTrial):
-                failed, problem = failed + outcome.is_external, outcome.reason
+                failed, problem = failed + outcome.is_from_external_calibrator, outcome.reason
                 done.append(None)
             else:
                 within = within or _parse_tolerances(given, outcome)
@@ -302,7 +305,7 @@ def recover(
 def _failed_if_parameters_differ_from_first_trial(
     outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
 ) -> TrialScore | FailedTrial:
-    """Outcome of a trial; a failed trial if its parameters differ from those of the first trial with a result."""
+    """Outcome of a trial, or a failure if its parameters differ from those of the first trial with a result."""
     first_trial = next((other for other in earlier_trials if other is not None), None)
     if (
         first_trial is None
@@ -312,26 +315,26 @@ def _failed_if_parameters_differ_from_first_trial(
         return outcome
     differing = sorted({*outcome.parameter_names} ^ {*first_trial.parameter_names})[0]
     reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} only in some of the trials"
-    return FailedTrial(reason, is_external=True)
+    return FailedTrial(reason, is_from_external_calibrator=True)
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
-    """Tolerances such as ``2 urad`` by parameter, converted to the units of the parameters in `trial`.
+    """Tolerances such as ``2 urad``, by parameter, in the units of the parameters in `trial`.
 
-    InputError is raised for a unit of another kind than the parameter's, such as a length for an angle.
+    InputError is raised for a unit of another quantity than the parameter's, such as a length for an angle.
     """
     given_values = {}
     for name, words in tolerance.items():
         if name not in trial.parameter_names:
             raise InputError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
         unit = trial.parameter_units[trial.parameter_names.index(name)]
-        value = parse_in_unit(words, unit)
+        value = parse_quantity_in_unit(words, unit)
         if value is None or not value > 0:
             raise InputError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
         given_values[name] = RecoveryTolerance(value, words)
     return given_values
 
 
-def default_origin_of_true_errors(scenario: Scenario) -> ErrorOrigin:
+def default_origin_of_true_errors(scenario: Scenario) -> InstrumentErrorOrigin:
     """Origin of the true instrument errors for a scenario: `stated` if it declares any, otherwise `drawn`."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

@@ -1,9 +1,9 @@
 """Checks of estimates and their declared standard deviations against true values, over many trials.
 
 Mean, standard deviation and coverage of the z-scores (error divided by declared standard deviation) have two-sided
-limits. The margins that ltsim specifies (0.1 for the mean, 5 % for the standard deviation, 1.5 % for the coverage) are
-widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in one run of
-a hundred.
+limits. The limits are the margins that ltsim specifies (0.1 for the mean, 5 % for the standard deviation, 1.5 % for the
+coverage), widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in
+one run of a hundred.
 """
 
 import math
@@ -19,41 +19,43 @@ from ltsim.core.results import Table, model_columns
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 RECOVERY_FALSE_ALARM_RATE = 0.01
-"""Probability that a correct model fails at least one of the checks."""
+"""Probability that a correct model fails at least one of the checks of a run."""
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
 MIN_RECOVERY_TRIALS = 2
 """Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
-"""Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
+"""Permitted deviation of the mean z-score (error / sigma) from 0, in addition to its sampling error."""
 STANDARD_DEVIATION_Z_MARGIN = 0.05
-"""Permitted deviation of the standard deviation of z-scores from 1, in addition to its sampling error."""
+"""Permitted deviation of the standard deviation of z-scores (error / sigma) from 1, in addition to its sampling error.
+"""
 COVERAGE_MARGIN = 0.015
-"""Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
-CHI2_MARGIN = 0.02
-"""Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
+"""Permitted deviation of the coverage of 95 % intervals from 0.95, in addition to its sampling error."""
+TOTAL_CHI2_MARGIN = 0.02
+"""Permitted relative deviation of the sum of chi-square over all trials from its expectation, in addition to its
+sampling error."""
 MEAN_SQUARE_Z_MARGIN = 0.05
-"""Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
+"""Permitted deviation from 1 of the mean squared z-score of targets and stations, in addition to its sampling error."""
 MAX_MEAN_SQUARE_Z_VARIATION_COEFFICIENT = float(np.sqrt(2.0))
-"""Upper bound for the ratio of standard deviation to mean of the mean squared z-score of a trial. The bound is reached
-if all z-scores of the trial are equal."""
+"""Largest possible ratio of the standard deviation to the mean of a trial's mean squared z-score. It occurs if all
+z-scores of the trial are equal."""
 
 
 class RecoveryCheck(Entry):
-    """Check that a number lies between two bounds."""
+    """Check that a number lies between two limits."""
 
     subject: str
-    """Subject of the check: a parameter, chi-square, targets or stations."""
+    """Subject of the check, such as the name of a parameter, chi-square, targets or stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
     value: OptionalFloat
-    """Value of the number."""
+    """Value of the checked number."""
     lower_limit: Finite
-    """Lower bound of the number."""
+    """Smallest value that passes the check."""
     upper_limit: Finite
-    """Upper bound of the number."""
+    """Largest value that passes the check."""
     passed: bool
-    """True if the number lies between the bounds."""
+    """True if the number lies between the limits."""
 
     @classmethod
     def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
@@ -66,13 +68,13 @@ class RecoveryCheck(Entry):
         return cls(subject=subject, statistic=statistic, value=value, passed=is_passed, **limits)
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
-        """Check of the same value with other limits."""
+        """Check of the same value with the limits `lower_limit` and `upper_limit`."""
         return self.from_value(
             self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
         )
 
     def sentence(self) -> str:
-        """Sentence with the value and its limits."""
+        """Sentence with the result of the check, its value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
         limits = f"allowed {self.lower_limit:.4g} to {self.upper_limit:.4g}"
         return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"
@@ -192,11 +194,11 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
     ]
 
 
-def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of z-scores (trials,) of an external calibrator for a true parameter that is the same in all trials.
+def fixed_true_value_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
+    """Checks of z-scores (trials,) of an external calibrator, for a true parameter that is the same in all trials.
 
-    The prior of the calibrator is unknown. A prior can make declared standard deviations larger than the scatter of the
-    estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have one limit each, and their
+    The prior of the calibrator is unknown. A prior may make declared standard deviations larger than the scatter of the
+    estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have only one limit each, the
     mean has two. `alpha` is the false-alarm rate of each check.
     """
     mean, spread, coverage = parameter_checks(name, z_scores, alpha)
@@ -206,19 +208,19 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
 def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
     """Check of the sum of chi-square over all trials, divided by its expectation.
 
-    `chi2` (trials,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (trials,) its expectation and
+    `chi2` (trials,) is the chi-square of each trial; `expected_chi2` and `chi2_sigma` (trials,) are its expectation and
     standard deviation. `alpha` is the false-alarm rate of the check. The limits come from a scaled chi-square
     distribution with the same mean and variance (Satterthwaite).
     """
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], freedom) / freedom
-    low, high = min(1 - CHI2_MARGIN, float(tails[0])), max(1 + CHI2_MARGIN, float(tails[1]))
+    low, high = min(1 - TOTAL_CHI2_MARGIN, float(tails[0])), max(1 + TOTAL_CHI2_MARGIN, float(tails[1]))
     return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
 def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
-    """Check that the mean over the trials of a value with expectation one, `trial_values` (trials,), is one.
+    """Check that `trial_values` (trials,), whose expectation is one, have a mean near one.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
     values that are all too large widen them. `alpha` is the false-alarm rate.

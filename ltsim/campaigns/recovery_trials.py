@@ -1,4 +1,4 @@
-"""Trials of a recovery check: a simulated recording, its calibration by ltsim or an external calibrator, and scores."""
+"""Trials of a recovery check: simulated recording, its calibration by ltsim or an external calibrator, and scores."""
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,13 +17,13 @@ from ltsim.campaigns.recovery_checks import (
     NOMINAL_COVERAGE,
     RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
-    fixed_truth_checks,
+    fixed_true_value_checks,
     parameter_checks,
     tolerance_check,
     total_chi2_check,
     unit_mean_check,
 )
-from ltsim.campaigns.schema import ErrorOrigin
+from ltsim.campaigns.schema import InstrumentErrorOrigin
 from ltsim.campaigns.scoring import (
     TrialScore,
     score_calibration,
@@ -42,27 +42,28 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
 CONVERGENCE_CHECK_NAME = "convergence"
-"""Name, in the table of checks, of the check that every trial has a result."""
+"""Name of the check that every trial has a result, in the table of checks."""
 
 
 class RecoveryTolerance(NamedTuple):
     """Limit within which 95 % of the errors of a parameter must lie."""
 
     error_limit_95: float
-    """Limit in the unit of the parameter."""
+    """Limit within which 95 % of the errors must lie, in the unit of the parameter."""
     text: str
     """Limit as the user gave it, with its unit."""
 
 
 class RecoveredParameter(Entry):
-    """Errors of one parameter over the trials, in its unit; statistics are null for fewer than two trials."""
+    """Statistics of the errors of one parameter over the trials, in its unit; null for fewer than two trials."""
 
     parameter: str
-    """Name of the parameter; for an effect EFFECT:PARAMETER, followed by the station or target where it acts."""
+    """Name of the parameter; for an effect ``EFFECT:PARAMETER``, followed by the station or target where the effect
+    acts."""
     unit: str
     """Unit of the errors."""
     rms_error: OptionalFloat = None
-    """Root mean square error."""
+    """Root mean square of the errors (estimate minus true value)."""
     mean_z: OptionalFloat = None
     """Mean of the z-scores (errors divided by declared standard deviations)."""
     standard_deviation_z: OptionalFloat = None
@@ -72,8 +73,8 @@ class RecoveredParameter(Entry):
     ltsim_rms_error: OptionalFloat = None
     """Root mean square error of ltsim's estimates from the same recordings, if another calibrator is checked."""
     absolute_error_difference: OptionalFloat = None
-    """Mean absolute error of the checked calibrator minus mean absolute error of ltsim in the same recordings; positive
-    if the errors of ltsim are smaller. It is not the difference of the rms errors."""
+    """Mean absolute error of the checked calibrator minus that of ltsim in the same recordings, positive if the errors
+    of ltsim are smaller."""
     absolute_error_difference_low: OptionalFloat = None
     """Lower 95 % confidence limit of `absolute_error_difference`."""
     absolute_error_difference_high: OptionalFloat = None
@@ -102,40 +103,44 @@ TRIALS_TABLE = Table(
 
 
 class FailedTrial(NamedTuple):
-    """Trial without a result."""
+    """Trial without a result, with the reason."""
 
     reason: str
     """Reason of the failure, as a sentence."""
-    is_external: bool
-    """True for a failure of an external calibrator."""
+    is_from_external_calibrator: bool
+    """True if an external calibrator failed, false if ltsim's calibration failed."""
 
 
 @dataclass(frozen=True)
 class RecoverySettings:
-    """Calibration settings of a recovery check: ltsim's method, and optionally a calibrator of the user."""
+    """Settings of a recovery check: ltsim's calibration method, and optionally an external calibrator."""
 
     method: str = "network"
+    """Calibration method of ltsim, as for `calibrate`."""
     construction: GeometricErrorModel | None = None
+    """Geometric error model of ltsim's calibration; None for the model of the scenario."""
     requested_effects: tuple[RequestedEffect, ...] = ()
+    """Effects that ltsim's calibration estimates in addition to the instrument parameters."""
     calibrator: ExternalCalibrator | None = None
-    error_origin: ErrorOrigin = "drawn"
-    """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
+    """External calibrator that is checked; None to check ltsim's calibration."""
+    error_origin: InstrumentErrorOrigin = "drawn"
+    """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
 
 
-def run_trials(
+def run_recovery_trials(
     scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[TrialScore | FailedTrial, None, None]:
-    """Outcomes of the trials in order; they are identical for any number of processes.
+    """Score or failure of each trial, in the order of the trials, identical for any number of processes.
 
-    InputError is raised for a parameter of the calibrator that is not drawn.
+    InputError is raised if the calibrator estimates a parameter that the scenario does not simulate.
     """
-    drawn_scenario = with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
+    drawn_scenario = scenario_with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
-    yield from run_parallel(run_trial, tasks, min(jobs, trials), calls_per_batch=4)
+    yield from run_parallel(run_recovery_trial, tasks, min(jobs, trials), calls_per_batch=4)
 
 
-def with_errors_from_prior(scenario: Scenario) -> Scenario:
-    """Scenario whose instruments have errors drawn from the priors that the calibrator uses."""
+def scenario_with_errors_from_prior(scenario: Scenario) -> Scenario:
+    """Scenario in which all instrument errors are drawn from the priors that the calibrator uses."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
     tracker_by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
@@ -143,8 +148,10 @@ def with_errors_from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
-    """Outcome of one trial: simulation, calibration, and comparison with the true parameters."""
+def run_recovery_trial(
+    scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings
+) -> TrialScore | FailedTrial:
+    """Score or failure of one trial: simulation, calibration, and comparison with the true parameters."""
     recording, truth = simulate(scenario, seed, trial_number, "per-trial")
     construction = make_scenario_construction(scenario)
     law = instrument_error_distribution(scenario, construction)
@@ -160,20 +167,20 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
             raise
         reason = f"trial {trial_number}: {problem}"
     if settings.calibrator is None:
-        return FailedTrial(reason, is_external=False) if reference is None else reference
+        return FailedTrial(reason, is_from_external_calibrator=False) if reference is None else reference
     try:
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {trial_number}")
         return score_estimates(estimates, truth, settings.error_origin, reference)
     except CalibratorError as problem:
         sentence = str(problem)
         reason = sentence if f"for trial {trial_number}" in sentence else f"trial {trial_number}: {sentence}"
-        return FailedTrial(reason, is_external=True)
+        return FailedTrial(reason, is_from_external_calibrator=True)
 
 
 def calibrate_by_settings(
     recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel
 ) -> Calibration:
-    """Calibration of a recording by ltsim's method in `settings`."""
+    """Calibration of a recording by the method of ltsim in `settings`, with the error model `construction`."""
     if settings.method == "network":
         return calibrate_network(
             recording,
@@ -187,21 +194,22 @@ def calibrate_by_settings(
 
 @dataclass(frozen=True)
 class RecoveryTrials(ValueEquality):
-    """All trials of a recovery check, with their statistics and checks."""
+    """All trials of a recovery check, with statistics and checks of their scores."""
 
     trial_scores: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
-    error_origin: ErrorOrigin = "drawn"
+    error_origin: InstrumentErrorOrigin = "drawn"
+    """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
     run_time_s: float = 0.0
     """Run time of the trials [s]."""
     last_failure_reason: str = ""
-    """Reason of the last failure of a trial."""
+    """Reason of the last failed trial; empty if no trial failed."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters of the checked calibrator."""
+        """Names of the parameters that the checked calibrator estimates."""
         return self.available_trial_scores[0].parameter_names if self.available_trial_scores else ()
 
     @property
@@ -215,7 +223,7 @@ class RecoveryTrials(ValueEquality):
         return [trial for trial in self.trial_scores if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
-        """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
+        """Array (trials, parameters) of one attribute of `TrialScore`, for all trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.available_trial_scores])
 
     @property
@@ -224,14 +232,14 @@ class RecoveryTrials(ValueEquality):
         return self._stack_attribute("z_scores")
 
     def unchecked_parameters(self) -> tuple[str, ...]:
-        """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
+        """Names of the parameters without a check: they have neither a sigma in each trial nor a tolerance."""
         if self.tolerance_by_parameter or not self.available_trial_scores:
             return ()
         is_checked = np.all(np.isfinite(self.z_scores), axis=0)
         return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
 
     def trial_rows(self) -> list[dict[str, object]]:
-        """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
+        """Rows of `trials.csv`, one per trial and parameter, in the unit of the parameter."""
         return [
             {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
              "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
@@ -281,7 +289,7 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
+        """All checks of the run. A correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trial_scores) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:
@@ -296,17 +304,17 @@ class RecoveryTrials(ValueEquality):
         return checks if self.tolerance_by_parameter else checks + self._network_checks(level)
 
     def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:
-        """Checks of one parameter, with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
+        """Checks of one parameter with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
             self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
-        foreign, checks = self.available_trial_scores[0].is_external, list[RecoveryCheck]()
+        foreign, checks = self.available_trial_scores[0].is_from_external_calibrator, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
         if self.error_origin == "stated" and np.all(np.isfinite(z)):
-            mean, spread, coverage = fixed_truth_checks(name, z, alpha)
+            mean, spread, coverage = fixed_true_value_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # for ltsim's calibrator the standardised z-scores contain both
             checks.append(coverage)
         if self.tolerance_by_parameter:

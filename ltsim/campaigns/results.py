@@ -1,4 +1,4 @@
-"""Results of a campaign: statistics, paired differences on the same random draws, figures, xarray datasets."""
+"""Results of a campaign: statistics, paired differences from equal random draws, figures, xarray datasets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.campaigns.columns import columns_from_rows
-from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, statistic_sql_expressions
+from ltsim.campaigns.schema import (
+    RATIO_STATISTICS,
+    SOLVER_DIFFERENCE_COLUMN,
+    find_result_column,
+    statistic_sql_expressions,
+)
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
@@ -19,19 +24,19 @@ from ltsim.core.errors import ModelError, missing_extra_error, unknown_name_erro
 from ltsim.core.plotting import plotting_module
 from ltsim.core.randomness import random_stream
 from ltsim.core.results import ColumnValues, Result
-from ltsim.core.units import parse_in_unit, unit_of_key
+from ltsim.core.units import parse_quantity_in_unit, unit_of_key
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-METHOD_AXIS = "calibrator"
-"""Name of the axis of methods in an xarray dataset. The name `method` is not possible: it is an argument of
-`Dataset.sel`."""
+XARRAY_METHOD_AXIS = "calibrator"
+"""Name of the axis of calibration methods in an xarray dataset. The name `method` is not possible, because
+`Dataset.sel` has an argument of this name."""
 N_BOOTSTRAP_RESAMPLES = 400
-"""Number of resamples of a bootstrap interval; the sampling error of its limits is about a tenth of its width."""
-RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
-"""Names that an axis of an xarray dataset cannot have; a factor with one of these names gets an underscore."""
+"""Number of resamples for a bootstrap interval, whose limits then have a sampling error of a tenth of its width."""
+RESERVED_XARRAY_AXIS_NAMES = frozenset({XARRAY_METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
+"""Names that an axis of an xarray dataset cannot have. An underscore is added to a factor with such a name."""
 
 
 class CampaignResults(CampaignStatistics, Result):
@@ -160,22 +165,23 @@ class CampaignResults(CampaignStatistics, Result):
             for s in self.statistic_summaries(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
                     bound[(methods.index(s.method), *places[s.cell])] = value
-            meaning, unit = (column.meaning if (column := find_column(name)) else ""), self.units.get(name, "")
+            meaning, unit = (column.meaning if (column := find_result_column(name)) else ""), self.units.get(name, "")
             for limit, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
                 meaning_of_bound = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
                 about = {"units": unit, "long_name": f"{meaning_of_bound}: {meaning}"}
-                variables[name + ending] = ((METHOD_AXIS, *axes), limit, about)
+                variables[name + ending] = ((XARRAY_METHOD_AXIS, *axes), limit, about)
         title = {"title": self.manifest.title, "trials": self.manifest.trials}
-        return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
+        return Dataset(variables, {XARRAY_METHOD_AXIS: methods} | axes | along, title)
 
     def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
         """Values of each axis, position of each cell on the axes, and coordinates along an axis, for an xarray dataset.
 
-        The factors of a full grid are axes. Other cells are on the single axis `cell`, with the factor levels along it.
+        The factors of a full grid are axes. Cells (combinations of factor levels) that form no full grid are on the
+        single axis `cell`, with the factor levels as coordinates.
         """
         levels, named = (
             self.levels,
-            [(f"{f.name}_" if f.name in RESERVED_AXIS_NAMES else f.name, f) for f in self.factors],
+            [(f"{f.name}_" if f.name in RESERVED_XARRAY_AXIS_NAMES else f.name, f) for f in self.factors],
         )
         axes = {name: [level[f.name] for level in levels] for name, f in named}
         steps = {name: _sorted_levels(dict.fromkeys(values)) for name, values in axes.items()}
@@ -188,7 +194,7 @@ class CampaignResults(CampaignStatistics, Result):
 
 
 def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
-    """Value of a statistic `function` of the result columns `columns` (columns, trials); ModelError for no number."""
+    """Value of the statistic `function` of `columns` (columns, trials); raises ModelError if it is no number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
@@ -196,29 +202,28 @@ def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
 
 
 def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
-    """Levels in increasing order if all are numbers, so that an axis can be sliced, else in their given order."""
+    """Levels in increasing order if all are numbers (an axis can then be sliced), else in their given order."""
     level_list = list(levels)
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list
 
 
 MAX_FACTOR_LEVEL_ROUNDING_ERROR = 5e-4
-"""Largest relative difference between a level and the number by which a user requests it. A level may thus be given
-rounded to three digits.
-"""
+"""Largest relative difference between a factor level and the number by which a user requests it, so that a number with
+three digits is sufficient."""
 CellAndMethod = tuple[int, str]
-"""Index of a combination of factor levels, from 0, and name of a method."""
+"""Index of a cell (combination of factor levels), from 0, and name of a method."""
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Paired difference of a statistic: first minus second method or level, in trials with the same random draws."""
+    """Difference of a statistic between two methods or factor levels, first minus second, on equal random draws."""
 
     shared_levels: Mapping[str, Any]
-    """Levels of the factors that are not compared, by name of the factor."""
+    """Levels of all factors except the compared one, by name of the factor."""
     first_name: str
-    """Name of the first method, or factor with its first level, such as `faces 2`."""
+    """Name of the first method, or name and first level of the compared factor, such as `faces 2`."""
     second_name: str
-    """Name of the second method, or factor with its second level."""
+    """Name of the second method, or name and second level of the compared factor."""
     statistic: str
     """Name of the statistic."""
     unit: str
@@ -234,7 +239,7 @@ class PairedDifference:
 
     @property
     def sentence(self) -> str:
-        """Sentence on the difference with its confidence interval."""
+        """Sentence with the difference, its confidence interval and the number of trials."""
         place = "".join(f", {name} {value}" for name, value in self.shared_levels.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
@@ -244,22 +249,22 @@ class PairedDifference:
 
 @dataclass(frozen=True, repr=False)
 class PairedDifferences(Result):
-    """Paired differences between two methods or levels of a campaign, on the same random draws."""
+    """Differences of a statistic between two methods or factor levels of a campaign, from the same random draws."""
 
     entries: tuple[PairedDifference, ...]
-    """Paired difference for each combination of levels of the factors that are not compared."""
+    """Paired difference for each combination of levels of the other factors."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
 
-    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], ColumnValues]]:
         rows = [vars(entry) for entry in self.entries]
         flat_rows = [row["shared_levels"] | {k: v for k, v in row.items() if k != "shared_levels"} for row in rows]
         return {"differences": lambda: columns_from_rows(flat_rows)}
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
-    """Paired differences of a statistic between two methods or levels, in trials with the same random draws."""
+    """Differences of a statistic between two methods or factor levels, in trials with the same random draws."""
     if len(pair) != 1:
         raise ModelError("give either two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = pair.items()
@@ -287,7 +292,8 @@ def _comparison_pairs(
 ) -> Iterator[tuple[dict[str, Any], CellAndMethod, CellAndMethod]]:
     """Shared factor levels, first cell and method, and second cell and method of each paired comparison.
 
-    The compared factor is `factor_name`, or `method`. ModelError is raised if there is no such factor, method or level.
+    The compared factor is `factor_name`, or `method` for two methods. ModelError is raised if there is no such factor,
+    method or level.
     """
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
@@ -308,13 +314,13 @@ def _comparison_pairs(
 def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
     """Level that a user requests by its value, by its text with unit, or by its value rounded to three digits.
 
-    ModelError is raised for a value that is no level, or that is the rounded value of several levels.
+    ModelError is raised for a value that is no level, or that may be the rounded value of several levels.
     """
     distinct = list(dict.fromkeys(levels))
     if requested_level in distinct:
         return requested_level
     value = (
-        parse_in_unit(requested_level, unit_of_key(factor_name))
+        parse_quantity_in_unit(requested_level, unit_of_key(factor_name))
         if isinstance(requested_level, str)
         else requested_level
     )
@@ -329,9 +335,10 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
 def _trial_numbers_and_values(
     results: CampaignStatistics, statistic: str, cell: int, method: str
 ) -> tuple[Floats, Floats]:
-    """Numbers of the trials of a cell and method, shape (trials,), and the values whose means give the statistic.
+    """Trial numbers (trials,) of a cell and method, and the values whose means give the statistic.
 
-    The values have the shape (1, trials) for a mean, and (2, trials), numerator and denominator, for a ratio of means.
+    A cell is a combination of factor levels. The values have the shape (1, trials) for a mean, and (2, trials),
+    numerator and denominator, for a ratio of means.
     """
     expressions = statistic_sql_expressions(statistic)
     table = results.sql_expression_values(("trial", *expressions), cell, method, f"{expressions[0]} IS NOT NULL")
@@ -339,9 +346,10 @@ def _trial_numbers_and_values(
 
 
 def _mean_and_influence(trial_values: Floats) -> tuple[float, Floats]:
-    """Mean of one row of values, or ratio of the means of two rows, and influence of each trial on it.
+    """Mean of `trial_values` or ratio of two means, and the influence of each trial on it (influence function).
 
-    The values have the shape (1, trials) or (2, trials), the influence function (trials,).
+    `trial_values` has the shape (1, trials) for a mean and (2, trials) for a ratio; the influence has the shape
+    (trials,).
     """
     if len(trial_values) == 1:
         return float(np.mean(trial_values)), trial_values[0]

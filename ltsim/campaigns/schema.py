@@ -11,24 +11,26 @@ from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
+"""Integer of 0 or more."""
 MAX_SHARDS = 500_000
 """Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
 QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in the summary of a campaign."""
 
-SUMMARY_FILE = "summary.csv"
+SUMMARY_FILE_NAME = "summary.csv"
 """Name of the file with the statistics of a campaign."""
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
-"""Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
+"""Name of the column with the largest difference between batch solver and full solver; only verified trials have a
+value."""
 PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
-"""Text in place of the unit for columns whose numbers are in the unit of the parameter in the name of the column."""
+"""Text in place of a unit, for columns with one name per parameter whose numbers are in the unit of the parameter."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
-"""Status of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
-ErrorOrigin = Literal["drawn", "stated"]
-"""Origin of the instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
+"""Possible statuses of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
+InstrumentErrorOrigin = Literal["drawn", "stated"]
+"""Origin of the true instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
 scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-"""Group of results in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
+"""Group of result columns in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
 MEASURED_POINT_ERROR_MEANING = (
     "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
     "after a rigid fit of each station's points to the true points; noise of these readings included"
@@ -37,19 +39,20 @@ MEASURED_POINT_ERROR_MEANING = (
 HELD_OUT_POINT_MEANING_PREFIX = (
     "error at the held-out points of `validation_points`, whose readings no calibration used: "
 )
-"""Beginning of the meaning of result columns at held-out points, for tables and documentation."""
+"""Beginning of the meaning of result columns with an error at held-out points, for tables and documentation."""
 REMOVED_ERROR_FRACTION_MEANING = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
     "calibration with the true parameters, 0 for no correction, below 0 for a correction that increases the error; its "
     "interval is that of a ratio of means"
 )
-"""Meaning of the fraction of the error that a calibration removes; ``{0}`` is the prefix of the column names."""
+"""Meaning of the fraction of the error that a calibration removes, for tables; ``{0}`` is the prefix of column names.
+"""
 
 
 @dataclass(frozen=True)
 class RowColumn(Column):
-    """Column of results in the rows of a campaign; a name that ends in `:` stands for one column per parameter."""
+    """Result column in the rows of a campaign; a name that ends in `:` is the prefix of a column per parameter."""
 
     group: StatisticGroup | None = None
     """Group of results to which the column belongs; None for a column that all rows have."""
@@ -61,10 +64,12 @@ def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) ->
 
 
 def _parameter_column(name: str, unit: str, group: StatisticGroup, description: str) -> RowColumn:
+    """Column with one value per parameter; `name` is the prefix of the column names."""
     return RowColumn(f"{name}:", description, unit=unit, group=group)
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
+    """Columns of a criterion of the disagreement of stations: mean and maximum, before and after calibration."""
     meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
@@ -75,6 +80,7 @@ def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
+    """Columns of an error: readings uncorrected, corrected by estimates, and corrected by true parameters."""
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",
@@ -108,26 +114,30 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
     _parameter_column("sigma", PARAMETER_UNIT_PLACEHOLDER, "estimates", "standard deviation of an estimate"),
     _parameter_column("true", PARAMETER_UNIT_PLACEHOLDER, "truth", "true value of a parameter"),
 )
-"""Columns of all results that rows and statistics can contain, for files, documentation and reports."""
+"""Columns of all results that rows and statistics may contain, for files, documentation and reports."""
 RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
-"""Names of the statistics that are ratios over all trials, so that a single row has no such value."""
+"""Names of the statistics that are ratios of two means over all trials, and therefore have no value for a single trial.
+"""
 
 
-def find_column(name: str) -> RowColumn | None:
-    """Definition of a column of results or of a statistic, by its name; None for the column of a factor."""
+def find_result_column(name: str) -> RowColumn | None:
+    """Definition of the result column or statistic with the name `name`; None for the column of a factor."""
     return next(
         (c for c in RESULT_COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None
     )
 
 
 def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
-    """Names of the columns from which a ratio is computed: errors raw, calibrated, and with the true parameters."""
+    """Names of the columns from which a ratio is computed: error uncorrected, calibrated, and with true parameters."""
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
 def number_of_shards(n_trials: int, trials_per_shard: int, n_cells: int = 1) -> int:
-    """Number of shards (files of rows) of `n_cells` cells with `n_trials` trials; ValueError above `MAX_SHARDS`."""
+    """Number of files of rows (shards) of a campaign with `n_cells` cells of `n_trials` trials.
+
+    A cell is a combination of factor levels. ValueError is raised above `MAX_SHARDS`.
+    """
     n_shards = n_cells * -(-n_trials // trials_per_shard)
     if n_shards > MAX_SHARDS:
         raise ValueError(
@@ -145,8 +155,8 @@ def sql_identifier(name: str) -> str:
 def statistic_sql_expressions(statistic: str) -> tuple[str, ...]:
     """SQL expressions whose means over the trials give a statistic.
 
-    A column needs one expression. A ratio over all trials is the ratio of the means of two expressions: the squared
-    error that the calibration removes, and the squared error that the true parameters remove.
+    A column needs one expression. A ratio statistic is the ratio of the means of two expressions: the squared error
+    that the calibration removes, and the squared error that the true parameters remove.
     """
     if statistic not in RATIO_STATISTICS:
         return (sql_identifier(statistic),)
@@ -158,8 +168,8 @@ ROWS_TABLE = Table(
     "rows/cell-*/shard-*.parquet",
     "one row per trial and method; the levels of the factors follow the number of the cell",
     (
-        *number_columns(cell="number"),
-        *text_columns(method="name"),
+        *number_columns(cell="number of the cell (combination of factor levels), from 0"),
+        *text_columns(method="name of the calibration method"),
         *number_columns(trial="number of the trial; `ltsim simulate --trial NUMBER` writes its recording"),
         *text_columns(status="converged, full solver (the batch solver did not converge), failed"),
         *RESULT_COLUMNS,
@@ -168,23 +178,24 @@ ROWS_TABLE = Table(
 
 
 def summary_table(factors: Mapping[str, str]) -> Table:
-    """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
+    """Table `summary.csv` of a campaign: one row per cell (combination of factor levels), method and result column.
 
     `factors` holds the type of the levels of each factor by its name.
     """
-    about = "level of the factor in the cell, in the unit of manifest.json"
+    about = "level of the factor, in the unit that manifest.json states"
     settings = [
         column
         for name, kind in factors.items()
         for column in (number_columns if kind in ("number", "integer") else text_columns)(**{name: about})
     ]
     return Table(
-        SUMMARY_FILE,
+        SUMMARY_FILE_NAME,
         "every statistic over the trials of a combination of factor levels (cell) and a method, with these levels",
         (
-            *number_columns(cell="number"),
+            *number_columns(cell="number of the cell (combination of factor levels), from 0"),
             *settings,
-            *text_columns(method="name", column="column of the rows", unit="unit of the next columns except trials"),
+            *text_columns(method="name of the calibration method", column="name of the result column in the rows"),
+            *text_columns(unit="unit of all following columns except `trials`"),
             *number_columns(trials="trials with a value in this column"),
             *number_columns("r", mean="mean of these values", standard_deviation="standard deviation of these values"),
             *number_columns("r", low="lower 95 % confidence limit of the mean", high="upper 95 % confidence limit"),
@@ -197,7 +208,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
 
 class TrackerSettings(Entry):
-    """Tracker of a scenario, with all keys of its table."""
+    """Tracker of a scenario in the manifest, with all keys of its table."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -221,41 +232,45 @@ FactorLevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 
 
 class CellEntry(Entry):
-    """Cell of a campaign, that is, a combination of factor levels, in manifest.json."""
+    """Entry of a cell (combination of factor levels) in the manifest of a campaign."""
 
     cell: NonNegativeInt
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     label: str
-    """Description of the cell in one line: the level of each factor."""
+    """Description of the cell (combination of factor levels) in one line: the level of each factor."""
     levels: dict[str, FactorLevelValue] = Field(default_factory=dict)
     """Level of each factor, by the factor's name."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
-    """Values that replace those of the base scenario in this cell, by dotted key."""
+    """Values that replace those of the base scenario in this cell (combination of factor levels), by dotted key."""
     digest: str = ""
-    """Digest of everything that determines the rows of the cell; the metadata of its shards contain the digest too."""
+    """Digest of everything that determines the rows of the cell (combination of factor levels). The metadata of its
+    files of rows (shards) contain it too."""
 
 
 FACTORS_TABLE = Table(
     "varied.csv",
-    "factors: keys of the scenario whose values differ between cells",
-    text_columns(factor="title", values="levels", key="key of the scenario", meaning="meaning of the key"),
+    "factors: keys of the scenario whose values differ between cells (combinations of factor levels)",
+    text_columns(
+        factor="title of the factor", values="its levels", key="key of the scenario", meaning="meaning of the key"
+    ),
 )
 MEANS_BY_FACTOR_LEVEL_TABLE = Table(
     "levels.csv",
-    "means over the cells of each level",
+    "means of a statistic for each level of each factor",
     (
-        *text_columns(factor="title", level="value of the factor", method="name", statistic="name"),
-        *number_columns(
-            mean="mean over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"
-        ),
+        *text_columns(factor="title of the factor", level="level of the factor", method="name of the method"),
+        *text_columns(statistic="name of the statistic"),
+        *number_columns(mean="mean over all cells (combinations of factor levels) with this level"),
+        *number_columns(least_cell="smallest mean of such a cell", largest_cell="largest mean of such a cell"),
     ),
 )
 ERRORS_BEFORE_AND_AFTER_TABLE = Table(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (
-        *text_columns(setting="cell", method="name"),
-        *number_columns(raw_um="before", calibrated_um="after", noise_floor_um="with the true parameters"),
+        *text_columns(setting="factor levels of the cell", method="name of the method"),
+        *number_columns(raw_um="error before calibration", calibrated_um="error after calibration"),
+        *number_columns(noise_floor_um="error after correction by the true parameters"),
         *number_columns(share_removed="fraction of the correctable mean-square error that the calibration removes"),
     ),
 )
@@ -263,7 +278,7 @@ METHOD_DIFFERENCES_TABLE = Table(
     "methods.csv",
     "paired differences of an error between methods, with 95 % intervals",
     (
-        *text_columns(setting="cell", methods="first minus second method"),
+        *text_columns(setting="factor levels of the cell", methods="first minus second method"),
         *number_columns(
             display_format=".3g",
             difference_um="mean difference on the same random draws; positive if the second method has less error",
@@ -277,7 +292,10 @@ METHOD_DIFFERENCES_TABLE = Table(
 
 
 class ManifestFile(ResultFile):
-    """Content of `manifest.json`: definition of a campaign, written before its first row and when it is extended."""
+    """Content of `manifest.json`, the definition of a campaign.
+
+    The file is written before the first row, and again if the campaign is extended.
+    """
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
@@ -287,13 +305,14 @@ class ManifestFile(ResultFile):
     seed: NonNegativeInt = 0
     """Seed of the random draws."""
     trials: NonNegativeInt
-    """Largest number of trials of each cell."""
+    """Largest number of trials of each cell (combination of factor levels)."""
     trials_per_shard: Annotated[int, Field(ge=1)] | None = None
-    """Number of trials in a file of rows."""
+    """Number of trials in a file of rows (shard); null if the campaign declares none."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibration methods."""
     factors: tuple[Factor, ...] = ()
-    """Factors: keys of the scenario whose values differ between cells."""
+    """Factors of the campaign: keys of the scenario whose values differ between cells (combinations of factor levels).
+    """
     cells: tuple[CellEntry, ...] = Field(min_length=1)
     """Cells (combinations of factor levels) of the campaign."""
     versions: dict[str, str] = Field(default_factory=dict)
@@ -305,9 +324,9 @@ class ManifestFile(ResultFile):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Content of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
-    """Scenario of each cell."""
+    """Scenario of each cell (combination of factor levels), with all its keys."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         methods = ", ".join(self.methods)
         return [f"Campaign: {title}{len(self.cells)} cells, at most {self.trials} trials each, {methods}"]
@@ -321,7 +340,7 @@ class ManifestFile(ResultFile):
             raise ValueError("a factor has no key of the scenario")
         for number, cell in enumerate(self.cells):
             if cell.cell != number or {*cell.levels} != {*names}:
-                raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
+                raise ValueError(f"entry {number + 1} in cells is not cell {number} with a level for each factor")
         number_of_shards(self.trials, self.trials_per_shard or max(self.trials, 1), len(self.cells))
         statistics = self.settings.get("statistics", [])
         if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):

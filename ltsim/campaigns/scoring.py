@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.external_calibrator import ParameterEstimate
-from ltsim.campaigns.schema import ErrorOrigin
+from ltsim.campaigns.schema import InstrumentErrorOrigin
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, InputError
@@ -22,26 +22,26 @@ from ltsim.recordings.files import safe_excerpt
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_VARIANCE_FRACTION = 1e-4
-"""Smallest fraction of a declared variance that must come from noise; below it the error comes from the prior, and the
-parameter has no z-score."""
+"""Smallest fraction of a declared variance that has to come from noise. Below it the error comes from the prior, and
+the parameter has no z-score."""
 
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of a trial for the whole network, not for single parameters; NaN for a score that does not exist."""
+    """Scores of the adjusted network of a trial as a whole; NaN for a score that does not exist."""
 
     target_mean_square_z: float = np.nan
-    """Mean square of error divided by standard deviation, over all target coordinates."""
+    """Mean squared z-score (error / sigma) over all coordinates of targets."""
     station_mean_square_z: float = np.nan
-    """Mean square of error divided by standard deviation, over all poses except the first one."""
+    """Mean squared z-score (error / sigma) over all poses of stations except the first, which defines the datum."""
     chi2: float = np.nan
-    """Chi-square of the adjustment."""
+    """Chi-square of the network adjustment (weighted sum of squared residuals)."""
     dof: float = np.nan
-    """Degrees of freedom of the adjustment."""
+    """Degrees of freedom of the network adjustment."""
     expected_chi2: float = np.nan
-    """Expected chi-square, over the noise and the distribution of the true parameters."""
+    """Expected chi-square, for random noise and random true parameters."""
     chi2_sigma: float = np.nan
-    """Standard deviation of chi-square, over the noise and the distribution of the true parameters."""
+    """Standard deviation of chi-square, for random noise and random true parameters."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,18 @@ class TrialScore(ValueEquality):
     """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
     true_values: Floats
     prior_independent_z_scores: Floats
-    """Errors of the estimates, minus their expected bias by the prior, divided by their expected standard deviation for
-    the distribution from which the true values come, (parameters,). They are standard normal for a correct calibrator,
-    also if the true values are not drawn from the prior. NaN for a parameter whose error does not come from noise, and
-    for an external calibrator unless the true values are drawn from the prior."""
+    """Z-scores corrected for the influence of the prior, (parameters,): errors minus their expected bias, divided by
+    their expected standard deviation. Both expectations use the distribution from which the true values come. The
+    scores are standard normal for a correct calibrator, even if the true values are not drawn from the prior. NaN for a
+    parameter whose error does not come from noise. NaN for an external calibrator unless the true values are drawn from
+    the prior."""
     network_score: NetworkScore = NetworkScore()
-    is_external: bool = False
-    """True for an external calibrator, whose prior is unknown."""
+    is_from_external_calibrator: bool = False
+    """True if the estimates are from an external calibrator, whose prior is unknown."""
     ltsim_score: TrialScore | None = None
-    """Score of ltsim's calibrator for the same parameters in the same recording; None without an external
-    calibrator."""
+    """Score of ltsim's calibrator for the same parameters and recording; None if no external calibrator is checked."""
     ltsim_parameter_names: tuple[str, ...] = ()
-    """Names of all parameters that ltsim's calibrator estimates, if there is an external calibrator."""
+    """Names of all parameters that ltsim's calibrator estimates, if an external calibrator is checked."""
 
     @property
     def z_scores(self) -> Floats:
@@ -82,7 +82,7 @@ class TrueParameter(NamedTuple):
 
 
 def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
-    """True parameters by name; a parameter of an effect is named ``head-sag:sag``, at a station ``head-sag:sag S2``."""
+    """True parameters by name; those of an effect are named ``head-sag:sag``, or ``head-sag:sag S2`` at a station."""
     instrument_values = {
         name: TrueParameter(value, truth.parameter_units[name]) for name, value in truth.instrument_values.items()
     }
@@ -97,7 +97,7 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
 
 
 def check_parameters_have_true_values(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
-    """Check that the parameters `names` are among `true_names`; InputError for a parameter without a true value."""
+    """Check that each parameter in `names` is in `true_names`; InputError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
         raise InputError(
@@ -108,7 +108,7 @@ def check_parameters_have_true_values(names: Sequence[str], true_names: Collecti
 
 @dataclass(frozen=True)
 class TrueParameterDistribution:
-    """Distribution of the true values of parameters, and bias of the estimates by the prior [prior sigma].
+    """Distribution of the true values of parameters, and bias of the estimates by the prior.
 
     All values are divided by the prior standard deviations of the parameters.
     """
@@ -118,11 +118,11 @@ class TrueParameterDistribution:
     true_value_sigmas: Floats
     """Standard deviation of the distribution of the true parameters, (parameters,); 0 for declared values."""
     bias_matrix: Floats
-    """Matrix (parameters, parameters) of the bias by the prior: without noise, estimate minus true value is
-    -bias_matrix @ true values."""
+    """Matrix (parameters, parameters) of the bias by the prior: without noise, the error of the estimates is the
+    negative product of this matrix and the true values."""
     network_column_indices: Ints
-    """Columns of the parameters in the design of the adjusted network, (parameters,); empty for a method without a
-    network."""
+    """Columns of the parameters in the design matrix of the adjusted network, (parameters,); empty for a distance
+    method, which adjusts no network."""
     prior_sigmas: Floats
     """Prior standard deviations of the parameters, (parameters,) [SI]."""
 
@@ -132,8 +132,8 @@ class TrueParameterDistribution:
     ) -> TrueParameterDistribution:
         """Distribution of the true parameters of a simulated recording.
 
-        `truth_distributions` holds mean and standard deviation [SI] of each true parameter by name; 0 for a declared
-        one.
+        `truth_distributions` holds mean and standard deviation [SI] of each true parameter by name; the standard
+        deviation is 0 for a declared parameter.
         """
         prior = calibration.prior_sigma.ravel()
         mean, drawn = np.array([truth_distributions[name] for name in calibration.instrument_parameter_names]).T / prior
@@ -165,7 +165,7 @@ class TrueParameterDistribution:
 
     @property
     def missing_variance_fraction(self) -> Floats:
-        """Fraction (parameters,) by which the variance of the true parameters is smaller than that of the prior."""
+        """Fraction (parameters,) of the prior variance by which the variance of the true parameters is smaller."""
         return 1.0 - self.true_value_sigmas**2
 
 
@@ -230,7 +230,7 @@ def score_calibration(
 
 
 def _effect_parameter_estimates(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Estimates of the parameters of effects in a calibration, by the names that `true_parameters` uses."""
+    """Estimates of effect parameters in a calibration, by name as in `true_parameters`."""
     effect_entries = calibration.effects
     names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in effect_entries)
     parameters = [parameter for entry in effect_entries for parameter in entry.parameters]
@@ -242,7 +242,7 @@ def _effect_parameter_estimates(calibration: Calibration) -> dict[str, Parameter
 
 
 def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistribution) -> tuple[float, float]:
-    """Expected value and standard deviation of chi-square, over noise and true parameters; NaN if they are unknown."""
+    """Expectation and standard deviation of chi-square, for random noise and true parameters; NaN if unknown."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected_truth.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
@@ -259,10 +259,10 @@ def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistri
 def _network_mean_square_z(
     calibration: Calibration, truth: Truth, expected: TrueParameterDistribution
 ) -> tuple[float, float]:
-    """Mean squares of error divided by standard deviation: of all targets, and of the poses of stations.
+    """Mean squared z-scores (error / sigma): over all targets, and over the poses of stations.
 
-    Bias and variance by the prior are taken into account, so that both have expectation one. They are NaN for a datum
-    other than the first station, and for a distance method if the true parameters were not drawn from the prior.
+    Bias and variance by the prior are taken into account, so that the expectation of each is one. Both are NaN if the
+    datum is not the first station, and for a distance method if the true parameters were not drawn from the prior.
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_drawn_from_prior
@@ -296,14 +296,14 @@ def _network_mean_square_z(
 def score_estimates(
     estimates: Mapping[str, ParameterEstimate],
     truth: Truth,
-    error_origin: ErrorOrigin,
+    error_origin: InstrumentErrorOrigin,
     full_ltsim_score: TrialScore | None,
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's score for the same parameters.
 
-    Parameters are in the order and units of the truth file. `error_origin` is that of the true instrument errors,
-    `full_ltsim_score` ltsim's score for all parameters. CalibratorError is raised for a parameter without a true value,
-    or with a unit of another quantity.
+    Parameters are in the order and units of the truth file. `error_origin` is the origin of the true instrument errors,
+    `full_ltsim_score` is ltsim's score for all parameters. CalibratorError is raised for a parameter without a true
+    value, or with a unit of another quantity.
     """
     true = true_parameters(truth)
     unknown = next((name for name in estimates if name not in true), None)
@@ -338,7 +338,7 @@ def score_estimates(
         sigma,
         true_values,
         standard,
-        is_external=True,
+        is_from_external_calibrator=True,
         ltsim_score=ltsim_score,
         ltsim_parameter_names=() if full_ltsim_score is None else full_ltsim_score.parameter_names,
     )

@@ -1,4 +1,4 @@
-"""Rows of a shard: trials are drawn, calibrated by every method, and compared with the true values."""
+"""Rows of a shard (file of rows): trials are drawn, calibrated by every method, and compared with the true values."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from ltsim.campaigns.calibrators import (
     StackCalibrator,
-    estimated_construction,
     estimated_effects,
+    estimated_error_model,
     make_calibrator,
     stack_geometries,
 )
@@ -27,7 +27,7 @@ from ltsim.campaigns.columns import (
     z_score_columns,
 )
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_result_column
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
 from ltsim.campaigns.store import parquet_bytes, stored_statistic_groups
 from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
@@ -41,48 +41,51 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.simulation.draws import StandardNormalSource
 from ltsim.simulation.physics import make_scenario_construction, scenario_effects
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import placing_stream_key
+from ltsim.simulation.simulator import position_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
 STATISTICS_OF_CORRECTED_READINGS = {"criteria", "errors"}
-"""Groups of statistics for which the readings are corrected by the calibration."""
+"""Groups of result columns that are computed from readings corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
-"""Largest number of trials that are calibrated together if each trial has a separate network geometry."""
-MAX_BATCH_VALUES = 5_000_000
-"""Largest number of values (8 bytes each) in the arrays of a batch of trials; more trials are divided into batches."""
+"""Largest number of trials with separate network geometries that are calibrated together."""
+MAX_BATCH_ARRAY_VALUES = 5_000_000
+"""Largest number of values (8 bytes each) in the arrays of a batch of trials. Larger batches are divided."""
 BATCH_VALUES_PER_POINTING = 30
-"""Number of values by pointing and trial in memory at the same time: readings, and measured or predicted points."""
+"""Number of values in memory per pointing and trial of a batch, for readings and for measured or predicted points."""
 BATCH_VALUES_PER_SIGHT = 12
-"""Number of values by station, target and trial in memory at the same time: points before and after a correction."""
+"""Number of values in memory per station, target and trial of a batch, for points before and after a correction."""
 GEOMETRY_VALUES_PER_POINTING = 300
-"""Number of values by pointing in memory for each separate network geometry: derivatives by 16 parameters and the chain
-of the construction.
-"""
+"""Number of values in memory per pointing of each separate network geometry, for the derivatives by 16 parameters and
+the kinematic chain."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker: computation of one shard, a file with rows of trials of one combination of factor levels."""
+    """Task of a worker process: computation of one shard, a file with rows of trials for one cell.
+
+    A cell is a combination of factor levels.
+    """
 
     campaign: CampaignFile
     scenario: Scenario
-    """Scenario of the cell."""
+    """Scenario of the cell (combination of factor levels)."""
     cell_digest: str
     """Digest of everything that determines the rows of the cell (combination of factor levels)."""
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     shard: int
-    """Index of the shard in the cell, from 0."""
+    """Index of the file of rows (shard) in the cell (combination of factor levels), from 0."""
     validation_scenario: Scenario | None = None
     """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
-    """Classes of effects that the user registered in this session; worker processes do not have these classes."""
+    """Classes of effects that the user registered in this session, because worker processes do not have them."""
     existing_rows: pa.Table | None = None
-    """Existing rows of the shard, if trials or statistics were added to the campaign."""
+    """Rows that the file of rows (shard) already contains, if trials or statistics were added to the campaign; else
+    None."""
 
     @property
     def shard_metadata(self) -> dict[str, str]:
-        """Metadata of the shard's file: campaign, cell, shard and statistics."""
+        """Metadata of the file of rows (shard): digest of its combination of factor levels, indices, statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
             "campaign": self.cell_digest,
@@ -94,15 +97,17 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class CellContext:
-    """Quantities that all trials of a cell (combination of factor levels) share."""
+    """Quantities that all trials of a cell (combination of factor levels) have in common."""
 
     campaign: CampaignFile
     scenario: Scenario
+    """Scenario of the cell (combination of factor levels)."""
     validation_scenario: Scenario | None = None
+    """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
 
     @cached_property
     def shared_geometry_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
-        """Evaluator for the network geometry that all trials share, and calibrators in the order of the methods."""
+        """Evaluator and calibrators (one per method) for the network geometry that all trials share."""
         network = make_true_network(self.scenario, self.campaign.seed)
         return TrialEvaluator(network), [make_calibrator(method, network) for method in self.campaign.methods]
 
@@ -120,26 +125,27 @@ class CellContext:
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
-        """Factors of the campaign: keys of the scenario whose values differ between cells."""
+        """Factors of the campaign: keys of the scenario that differ between cells (combinations of factor levels)."""
         return self.campaign.factors(self.scenario)
 
     @cached_property
     def levels(self) -> dict[str, Any]:
-        """Levels of the factors in this cell, by name of the factor."""
+        """Levels of the factors in this cell (combination of factor levels), by name of the factor."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
-        return {factor.name: factor.level(tables) for factor in self.factors}
+        return {factor.name: factor.level_in_scenario(tables) for factor in self.factors}
 
     @cached_property
     def parameter_units(self) -> dict[str, str]:
-        """Units of the parameters in the rows, by label of the parameter."""
+        """Units of the parameters in the rows, by the label of the parameter."""
         names = tuple(self.scenario.trackers_in_use)
         labels = parameter_labels(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
         for method in self.campaign.methods:
-            labels += parameter_labels(estimated_construction(method), names, estimated_effects(method))
+            labels += parameter_labels(estimated_error_model(method), names, estimated_effects(method))
         return {label.text: label.parameter.unit for label in labels}
 
     @cached_property
     def _planned_layout(self) -> WorkshopLayout:
+        """Planned poses of the stations and positions of the targets."""
         return planned_layout(self.scenario)
 
     def trial_batches(
@@ -147,8 +153,8 @@ class CellContext:
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
         """Evaluator, calibrators of all methods, and drawn trials for each batch of trials.
 
-        The batches contain the trials from ``first_trial`` to ``end_trial - 1``, except those with an impossible
-        network geometry, such as a station without visible targets.
+        The batches contain the trials from ``first_trial`` to ``end_trial - 1``. A trial with an impossible network
+        geometry, such as a station without visible targets, is left out.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
@@ -167,9 +173,10 @@ class CellContext:
                 )
 
     def _max_batch_trials(self, default_number: int, geometry_values_per_pointing: int) -> int:
-        """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_VALUES`.
+        """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_ARRAY_VALUES`.
 
-        It does not depend on the trials that are requested, because sums may depend on the number of trials in a batch.
+        The number does not depend on the trials that are requested, because sums may depend on the number of trials in
+        a batch.
         """
         evaluators = (self.shared_geometry_evaluator_and_calibrators[0], self.validation_evaluator)
         values = 0
@@ -179,20 +186,20 @@ class CellContext:
             values += (BATCH_VALUES_PER_POINTING + geometry_values_per_pointing) * len(recording)
             values += 3 * n_unknowns**2 if geometry_values_per_pointing else 0
         size = default_number
-        while size > 1 and values * size > MAX_BATCH_VALUES:
+        while size > 1 and values * size > MAX_BATCH_ARRAY_VALUES:
             size //= 2
         return size
 
     def _trial_geometries(self, trials: range) -> dict[int, TrueNetwork]:
-        """True network geometry of each trial with a possible geometry, by number of the trial.
+        """True network geometry of each trial by its number, without trials whose geometry is impossible.
 
-        Each has the set-up of the network geometry that all trials of the cell share otherwise.
+        All have the set-up of the network geometry that the trials share if the campaign has no separate geometries.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(InputError):
                 key, like = (
-                    placing_stream_key(trial, self.campaign.geometry),
+                    position_stream_key(trial, self.campaign.geometry),
                     self.shared_geometry_evaluator_and_calibrators[0].true_network,
                 )
                 geometries[trial] = make_true_network(
@@ -202,10 +209,11 @@ class CellContext:
 
 
 @lru_cache(maxsize=1)
-def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Quantities that all trials of a cell share, from campaign file, scenario and validation scenario as JSON texts.
+def load_cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
+    """Common quantities of the trials of a cell (combination of factor levels), from JSON texts of its input.
 
-    The last result is cached, because a worker process computes many shards of the same cell one after the other.
+    The last result is cached, because a worker process computes many files of rows of the same cell one after the
+    other.
     """
     validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
     return CellContext(
@@ -213,8 +221,8 @@ def cell_context(campaign: str, scenario: str, validation_scenario: str) -> Cell
     )
 
 
-def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """Task, and the bytes of the shard's file that it computes.
+def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
+    """Task without its existing rows, and the bytes of the computed file of rows (shard).
 
     The shard is computed with one thread, so that sums have the same order in every worker process.
     """
@@ -225,7 +233,7 @@ def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
 
 
 def make_shard_rows(task: ShardTask) -> pa.Table:
-    """Rows of a shard, ordered by method, then by trial; existing rows are reused, missing rows are computed."""
+    """Rows of a shard, ordered by method and then by trial; existing rows are reused, missing rows are computed."""
     if task.existing_rows is None:
         return _compute_new_rows(task, 0)
     campaign, held = task.campaign, task.existing_rows
@@ -247,12 +255,12 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a shard for the trials after the first `n_existing_trials`, which already have rows.
+    """Rows of a file of rows (shard) for the trials after the first `n_existing_trials`, which have rows already.
 
     With `truth_only` the rows contain only the true values, and no trial is calibrated.
     """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
-    cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
+    cell = load_cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     first_trial = task.shard * campaign.trials_per_shard
     first, last = first_trial + n_existing_trials, min(first_trial + campaign.trials_per_shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
@@ -262,7 +270,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verified_trials_per_shard]
-        work = TrialBatchRows(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
+        work = TrialBatchRowBuilder(campaign, evaluator, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -284,8 +292,8 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
 
 
 @dataclass(frozen=True)
-class TrialBatchRows:
-    """Batch of drawn trials, and computation of the campaign rows of every method from it."""
+class TrialBatchRowBuilder:
+    """Batch of drawn trials, from which the campaign rows of every method are computed."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
@@ -293,23 +301,23 @@ class TrialBatchRows:
     validation_evaluator: TrialEvaluator | None
     """Evaluator for the held-out points; None if the campaign names none (key `validation_points`)."""
     requested_trial_indices: Ints
-    """Indices, in the batch, of the trials whose rows are requested."""
+    """Indices (requested trials,), in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
-    """Indices, in the batch, of the trials that the full solver repeats for verification."""
-    has_truth_only: bool = False
+    """Indices, in the batch, of the trials that the full solver calibrates again for verification."""
+    contains_only_true_values: bool = False
     """True if the rows contain only the drawn true values, and no trial is calibrated."""
 
     @cached_property
     def method_independent_columns(self) -> ResultColumns:
-        """Columns of results that do not depend on the method."""
+        """Result columns that do not depend on the calibration method."""
         return self.evaluator.method_independent_columns(self.trial_batch)
 
     @cached_property
     def validation_batch(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
         """Measurements of the held-out points: evaluator, drawn trials, and columns that all methods share.
 
-        The instruments are those of the trials. The noise is independent of the calibrated recordings, the effects have
-        the same sizes. None if the campaign names no held-out points (key `validation_points`).
+        The instruments of each trial measure the points. The noise is independent of the calibrated recordings; the
+        effects have the same sizes. None if the campaign names no held-out points (key `validation_points`).
         """
         if self.validation_evaluator is None:
             return None
@@ -320,7 +328,7 @@ class TrialBatchRows:
         return self.validation_evaluator, batch, self.validation_evaluator.method_independent_columns(batch)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Instrument errors at the measurement of the held-out points, after the random drift (key `validation_drift`).
+        """Instrument errors when the held-out points are measured, after the random drift (key `validation_drift`).
 
         The shape is (instruments, parameters, trials) [SI].
         """
@@ -330,13 +338,13 @@ class TrialBatchRows:
         population = self.evaluator.true_network.distributions
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
         step = StandardNormalSource(self.campaign.seed, self.trial_batch.trial_numbers)(values[:, :, 0].size, "drift")
-        return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
+        return values + share * (population.instrument_error_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of the results of a method, as selected by the campaign's `statistics`."""
+        """Result columns of a method, in the groups that the key `statistics` of the campaign selects."""
         wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
-        if self.has_truth_only:
+        if self.contains_only_true_values:
             calibrated = CalibratedBatch.from_failed_trials(network, construction, effects, len(batch.trial_numbers))
         else:
             calibrated = calibrator.calibrate(batch, self.requested_trial_indices)
@@ -354,13 +362,13 @@ class TrialBatchRows:
             columns |= {
                 n: column_values
                 for n, column_values in judged.items()
-                if (column := find_column(n)) and column.group in wanted
+                if (column := find_result_column(n)) and column.group in wanted
             }
         labels = parameter_labels(construction, network.recording.instruments, effects)
         true_labels = parameter_labels(
             network.construction, network.recording.instruments, [law.effect for law in network.effects]
         )
-        (values, sigma), true = calibrated.estimates, batch.true_values
+        (values, sigma), true = calibrated.estimates_and_sigmas, batch.true_values
         if "z-scores" in wanted:
             columns |= z_score_columns(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
@@ -372,7 +380,7 @@ class TrialBatchRows:
         return columns
 
     def _validation_columns(self, calibrated_batch: CalibratedBatch, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of a method with the errors at held-out points; empty without the key `validation_points`."""
+        """Result columns of a method with the errors at held-out points; empty without the key `validation_points`."""
         if self.validation_batch is None:
             return {}
         there, batch, before = self.validation_batch
@@ -386,6 +394,6 @@ class TrialBatchRows:
 
 
 def n_rows_of_shard(campaign: CampaignFile, shard: int) -> int:
-    """Number of rows of the shard with the index `shard` in its cell."""
+    """Number of rows of the file of rows (shard) with the index `shard` in its cell (combination of factor levels)."""
     first_trial = shard * campaign.trials_per_shard
     return len(campaign.methods) * (min(first_trial + campaign.trials_per_shard, campaign.trials) - first_trial)

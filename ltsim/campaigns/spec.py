@@ -19,17 +19,17 @@ from ltsim.campaigns.schema import (
     CellEntry,
     ManifestFile,
     StatisticGroup,
-    find_column,
+    find_result_column,
     number_of_shards,
 )
-from ltsim.core.errors import InputError, as_input_error, unknown_name_error
+from ltsim.core.errors import InputError, reraise_as_input_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.storage import read_whole_file
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
+from ltsim.simulation.scenario import KEY_REMOVAL_VALUE, Scenario, change_scenario, load_scenario
 from ltsim.simulation.scenario_keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.sections import PlacedEffect
 
@@ -38,18 +38,18 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_WRITTEN_SHARD_ROWS = 65_536
-"""Largest number of rows (trials times methods) in a shard that is written; a row with all statistics takes 2 kB
+"""Largest number of rows (trials times methods) in a written file of rows (shard). A row with all statistics takes 2 kB
 of memory."""
 VALIDATION_STREAM_KEY = "judge"
-"""Key of the random stream for the measurement of the held-out points of `validation_points`."""
+"""Key of the random stream for the measurement of held-out points (key `validation_points`)."""
 
 
 class CalibrationMethod(TomlSection):
     """Calibration method of a campaign.
 
-    With the solver ``batch`` all trials in one network geometry are calibrated together, hundreds of times as fast as
-    with ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its
-    trials that both solvers agree.
+    The solver ``batch`` calibrates all trials in one network geometry together. It is hundreds of times as fast as
+    ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its trials
+    that both solvers agree.
     """
 
     name: str = ""
@@ -61,17 +61,16 @@ class CalibrationMethod(TomlSection):
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Number of harmonics of each joint error in the model `dh`."""
+    """Number of harmonics in the error of each rotary axis of the model `dh`."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range, by which the model `dh` describes errors of the linear joint."""
+    """Degree of the polynomials in the range that describe the errors of the range axis of the model `dh`."""
     effects: Annotated[tuple[PlacedEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
-    """Additional effects to estimate, tables `[[methods.effects]]`."""
+    """Effects to estimate in addition to the instrument parameters, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
     uses_applied_corrections: bool = False
-    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; permitted only for
-    the method `network` with the solver `single`.
-    """
+    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates. Permitted only for
+    the method `network` with the solver `single`."""
 
     @property
     def title(self) -> str:
@@ -92,26 +91,26 @@ class CalibrationMethod(TomlSection):
 class StoppingRule(TomlSection):
     """Adaptive stopping rule of each cell (combination of factor levels), evaluated after each round of trials.
 
-    A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
-    `max_half_width`. Each round adds 50 % more trials.
+    A cell stops when the confidence interval of the mean of `statistic` is narrow enough for every method: its
+    half-width is at most `max_half_width`. Each round adds 50 % more trials.
     """
 
     statistic: str = "target_error_um"
-    """Statistic whose mean must be precise: a column of the rows, or an improvement of the agreement of stations
-    [%]."""
+    """Statistic whose mean has to be precise: a column of the rows, or an improvement of the agreement of stations [%].
+    """
     max_half_width: Positive
-    """Largest half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
+    """Half-width of the 95 % confidence interval at which a cell (combination of factor levels) stops."""
 
 
 class CampaignFile(TomlSection):
     """Content of a campaign file.
 
-    `scenario_changes` applies to all cells. `grid` holds lists of values that are combined with each other, `design`
-    spreads points over ranges, and `cells` lists combinations one by one. If a file has several of these three, every
-    combination of their entries is a cell. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"``
-    (entries of a list by number, as in ``"effects.1.values.x"``), or names in `linked_keys`. A value is a number in the
-    key's unit, or a text with its unit (``"2 urad"``). The scenario defines the true errors, `methods` defines the
-    estimated parameters.
+    `scenario_changes` applies to all cells (combinations of factor levels). `grid` holds lists of values that are
+    combined with each other, `design` distributes points over ranges, and `cells` lists single combinations. If a file
+    has several of these three, every combination of their entries is a cell. Keys are dotted keys of the scenario, as
+    in ``"instrument.noise_factor"`` (entries of a list by number, as in ``"effects.1.values.x"``), or names in
+    `linked_keys`. A value is a number in the key's unit, or a text with its unit (``"2 urad"``). The scenario defines
+    the true errors, `methods` defines the estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
@@ -127,35 +126,34 @@ class CampaignFile(TomlSection):
     trials_per_shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
     """Number of trials in each output file (shard). If a process is killed, its unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
-    """True positions of stations and targets: the same for all trials of a cell (`shared`), or drawn for each trial
-    (`per-trial`)."""
+    """True positions of stations and targets: equal for all trials with equal factor levels (`shared`), or drawn for
+    each trial (`per-trial`)."""
     verified_trials_per_shard: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
     """Groups of results that each row contains."""
     validation_points: str = ""
-    """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario
-    (built-in, or a file in the folder of this one), or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`)
-    measured from the stations of the cell.
-    """
+    """Held-out points, which the instruments of each trial measure but no calibration uses. Name of a scenario
+    (built-in, or a file in the folder of this one), or of a table of points (`target,x_mm,y_mm,z_mm` in a file
+    `NAME.csv`) that are measured from the stations of the trial."""
     validation_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Standard deviation of the random drift of the instrument parameters (except the range scale) between calibration
-    and measurement of the held-out points, as a fraction of the prior standard deviations.
-    """
+    """Standard deviation of a random drift of the instrument parameters (except the range scale) between calibration
+    and measurement of the held-out points, as a fraction of the prior standard deviations."""
     scenario_changes: dict[str, Any] = Field(default_factory=dict)
-    """Values that replace those of the base scenario in all cells, by dotted key."""
+    """Values that replace those of the base scenario in all cells (combinations of factor levels), by dotted key."""
     linked_keys: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
         default_factory=dict, max_length=MAX_DESIGN_KEYS
     )
-    """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
+    """Groups of keys that always take the same value, by a name for the group, which is also the name of their column.
+    """
     grid: dict[str, list[Any]] = Field(default_factory=dict)
-    """Lists of levels by dotted key; all combinations of these levels are cells."""
+    """Lists of levels by dotted key; each combination of these factor levels is a cell of the campaign."""
     design: SpaceFillingDesign | None = None
     """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
-    """Combinations of factor levels that are listed one by one, tables `[[cells]]`."""
+    """Combinations of factor levels (cells) that are listed individually, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Rule that stops a cell before it has all its trials."""
+    """Rule that may stop a cell (combination of factor levels) before it has all its trials."""
     methods: tuple[CalibrationMethod, ...] = (CalibrationMethod(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
@@ -172,7 +170,7 @@ class CampaignFile(TomlSection):
     def _check_stop_statistic(self) -> Self:
         if self.stop is None:
             return self
-        column = find_column(self.stop.statistic)
+        column = find_result_column(self.stop.statistic)
         if column is None:
             columns = [column.name for column in RESULT_COLUMNS]
             raise ValueError(
@@ -211,17 +209,17 @@ class CampaignFile(TomlSection):
 
     @property
     def n_shards_per_cell(self) -> int:
-        """Number of shards of each cell."""
+        """Number of files of rows (shards) of each cell (combination of factor levels)."""
         return number_of_shards(self.trials, self.trials_per_shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys, and names in `linked_keys`, whose values differ between cells, in the order of the file."""
+        """Dotted keys, and names in `linked_keys`, that are factors of the campaign, in file order."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors of the campaign; `scenario` is the scenario of any cell, for units and types.
+        """Factors of the campaign, with units and types from the scenario of any combination of factor levels.
 
         If a table and the key `title` vary together, the title represents the table.
         """
@@ -241,7 +239,7 @@ class CampaignFile(TomlSection):
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
     def scenario_changes_of_cells(self) -> Iterator[dict[str, Any]]:
-        """Values that replace those of the base scenario in each cell, by dotted key."""
+        """Values, by dotted key, that replace those of the base scenario in each combination of factor levels."""
         first_key_by_name = {name: self.linked_keys.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
@@ -250,25 +248,25 @@ class CampaignFile(TomlSection):
                 yield self.values_by_key(values_by_name)
 
     def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted key, from values by dotted key or by a name in `linked_keys` for several keys."""
+        """Values by dotted key, from values by dotted key or by the name of a group of keys in `linked_keys`."""
         return {key: value for name, value in values_by_name.items() for key in self.linked_keys.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[CampaignFile, tuple[Scenario, ...]]:
-    """Campaign of a file, or of `tables` in place of a file, and the scenario of each cell.
+    """Campaign of a file (or of `tables` in place of a file), and the scenario of each cell.
 
-    `changes` are new values of keys of the file (such as `trials`), or of dotted keys of the scenario in all cells.
-    InputError is raised for an invalid file.
+    A cell is a combination of factor levels. `changes` are new values of keys of the file (such as `trials`), or of
+    dotted keys of the scenario in all cells. InputError is raised for an invalid file.
     """
     if tables is None and (path / ManifestFile.FILE).is_file():
         raise InputError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
-    with as_input_error():
+    with reraise_as_input_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
         campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
-        campaign = override_campaign(campaign, changes, path)
+        campaign = campaign_with_changes(campaign, changes, path)
     base = load_scenario(path_relative_to_campaign_file(campaign.scenario, path) or campaign.scenario)
     common_values = {
         key: convert_value(base, key, value, str(path))
@@ -284,8 +282,8 @@ def load_campaign(
     return campaign, tuple(items)
 
 
-def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
-    """Campaign with new values of its keys, or of dotted keys of the scenario in all cells; errors name `path`."""
+def campaign_with_changes(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
+    """Campaign with new values of its own keys, or of dotted keys of all its scenarios; errors name `path`."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
@@ -293,10 +291,12 @@ def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], pa
         elif key in campaign.grid:
             tables["grid"][key] = [value]
         elif key in campaign.varied_keys:
-            raise InputError(f"{path}: {key} varies in its cells or design: change it there")
+            raise InputError(
+                f"{path}: {key} has different values in the cells or the design of the file: change it there"
+            )
         else:
             tables["scenario_changes"][key] = value
-    with as_input_error():
+    with reraise_as_input_error():
         return validate_settings(tables, CampaignFile, "campaign", path)
 
 
@@ -308,22 +308,23 @@ class CampaignCell:
     validation_scenario: Scenario | None
     """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
     scenario_changes: dict[str, Any]
-    """Values that replace those of the base scenario in this cell, by dotted key."""
+    """Values that replace those of the base scenario in this cell (combination of factor levels), by dotted key."""
     levels: dict[str, Any]
     """Level of each factor, by the factor's name."""
     digest: str
-    """Digest of everything that determines the rows of the cell, except the number of rows and the stored columns."""
+    """Digest of everything that determines the rows of the cell (combination of factor levels), except the number of
+    rows and the selected statistics."""
 
     def manifest_entry(self, cell_index: int, factors: Sequence[Factor]) -> CellEntry:
-        """Entry of the cell in `manifest.json`."""
+        """Entry of the cell (combination of factor levels) in `manifest.json`."""
         label, changes = cell_label(factors, self.levels), self.scenario_changes
         return CellEntry(cell=cell_index, label=label, scenario_changes=changes, levels=self.levels, digest=self.digest)
 
 
-def make_cells(
+def make_campaign_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors of a campaign, and its cells; raises InputError for a cell without a valid scenario."""
+    """Factors of a campaign, and its cells (combinations of factor levels); InputError for an invalid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "trials_per_shard", "geometry", "verified_trials_per_shard", "methods", "validation_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
@@ -331,7 +332,7 @@ def make_cells(
         tables = scenario.model_dump(mode="json", by_alias=True)
         points_name = campaign.validation_points
         validation = make_validation_scenario(points_name, scenario, path) if points_name else None
-        levels = {factor.name: factor.level(tables) for factor in factors}
+        levels = {factor.name: factor.level_in_scenario(tables) for factor in factors}
         texts = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
         digest = hashlib.sha256("\n".join([cell_seed_text, *texts]).encode()).hexdigest()
         cells.append(CampaignCell(scenario, validation, scenario_changes, levels, digest))
@@ -339,20 +340,20 @@ def make_cells(
 
 
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
-    """Scenario of the held-out points of `validation_points`, with the instruments of a cell's scenario.
+    """Scenario of the held-out points of `validation_points`, with the instruments of `scenario`.
 
-    `name` is the value of `validation_points`, and `path` the campaign file. Raises InputError.
+    `name` is the value of `validation_points`, and `path` the campaign file. InputError is raised for an invalid name.
     """
     file = path_relative_to_campaign_file(name, path)
     if name.endswith(".csv"):
-        with as_input_error():
+        with reraise_as_input_error():
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
         changes = {
-            "gauge": REMOVAL_VALUE,
+            "gauge": KEY_REMOVAL_VALUE,
             "lengths": [],
-            "work.targets": REMOVAL_VALUE,
+            "work.targets": KEY_REMOVAL_VALUE,
             "targets": places,
             "effects": effects,
         }
@@ -370,7 +371,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
 
 
 def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
-    """Path of the file `name` relative to the folder of the campaign file `path`; None if there is no such file."""
+    """Path of the file `name` in the folder of the campaign file `path`; None if there is no such file."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -378,20 +379,20 @@ def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """Paths of the CAD files of the scenarios' halls, without duplicates."""
+    """Paths of the CAD files in the workshops of `scenarios`, without duplicates."""
     file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(file_names)]
 
 
 def _with_cad_digests(scenario: Scenario) -> Scenario:
-    """Scenario with the digests of its CAD files in place of their names."""
+    """Scenario in which digests of the contents of its CAD files replace their names."""
     hall = scenario.workshop
-    digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
+    digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
     obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]
     return scenario.model_copy(update={"workshop": hall.model_copy(update={"obstacles": tuple(obstacles)})})
 
 
-def read_cad(path: Path) -> bytes:
+def read_cad_bytes(path: Path) -> bytes:
     """Content of a CAD file; raises InputError."""
     try:
         return read_whole_file(path)

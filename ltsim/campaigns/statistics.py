@@ -1,4 +1,4 @@
-"""Statistics of a campaign's rows by SQL queries, which read the shards one column at a time."""
+"""Statistics of the rows of a campaign, computed by SQL queries that read the files of rows column by column."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from ltsim.campaigns.schema import (
     WITHOUT_RESULT,
     ManifestFile,
     error_columns_of_ratio,
-    find_column,
+    find_result_column,
     sql_identifier,
     statistic_sql_expressions,
     summary_table,
 )
-from ltsim.campaigns.stopping import interval_error_rate, student_quantile
-from ltsim.campaigns.store import CampaignFolder, sql_path
+from ltsim.campaigns.stopping import interval_error_rate, student_t_quantile
+from ltsim.campaigns.store import CampaignFolder, path_as_sql_text
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
@@ -45,12 +45,12 @@ DATABASE_SETTINGS: dict[str, Any] = {
     "autoload_known_extensions": False,
 }
 """Settings of the database DuckDB; no query or file can make it download or load an extension."""
-MAX_ROWS_EXACT_QUANTILES = 50_000_000
-"""Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; with
-more rows the quantiles are approximated by a t-digest.
-"""
-IMPROVED_CRITERIA = ("distance", "coordinate")
-"""Criteria of the disagreement of stations, in distances and in coordinates, whose reduction [%] a campaign reports."""
+MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
+"""Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
+are approximated (t-digest)."""
+CRITERIA_WITH_REPORTED_IMPROVEMENT = ("distance", "coordinate")
+"""Criteria of the disagreement between stations (in distances, in coordinates) whose reduction [%] by the calibration
+is reported."""
 
 
 class CampaignStatistics:
@@ -96,7 +96,7 @@ class CampaignStatistics:
             raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": database_memory_limit(shards)})
-        source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
+        source = f"read_parquet([{', '.join(map(path_as_sql_text, shards))}], union_by_name = true)"
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
@@ -116,18 +116,21 @@ class CampaignStatistics:
         self._cache: dict[str, list[tuple[Any, ...]]] = {}
 
     def _cells(self) -> dict[str, list[Any]]:
+        """Columns of the table `cells`: index, label and factor levels of each cell."""
         cells = self.manifest.cells
         plain: dict[str, list[Any]] = {"cell": [c.cell for c in cells], "label": [c.label for c in cells]}
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
+        """Check that the manifest contains the factor levels (cells) and methods of all rows; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
-                raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
+                raise ValueError(
+                    f"it has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
+                )
 
     def _create_cells_table(self) -> None:
-        """Creation of the table `cells` with the column types of the table `rows`.
+        """Creation of the table `cells` (combinations of factor levels), with column types as in the table `rows`.
 
         It uses plain SQL instead of Arrow, which would import pandas.
         """
@@ -137,16 +140,16 @@ class CampaignStatistics:
         places = ", ".join("?" * len(cells))
         self._database.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         manifest = self.manifest
         title = f"{manifest.title}: " if manifest.title else ""
         cells, methods = manifest.cells, manifest.methods
         return [
-            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
+            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells, methods {', '.join(methods)}",
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
             "summary": self._summary,
             "cells": self._cells,
@@ -156,18 +159,21 @@ class CampaignStatistics:
         }
 
     def _summary(self) -> Table:
+        """Table `summary.csv`: all statistics for each cell (combination of factor levels) and method."""
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
         summary_rows = self._with_factor_levels(self.summary().columns)
         return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
 
     def _rows(self) -> ColumnValues:
+        """All rows as columns, ordered by cell (combination of factor levels), method and trial."""
         with _interruptible():
             rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_factor_levels(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+        """Entries (one per combination of factor levels and method) as mappings, with these levels added."""
         entry_rows = [entry.model_dump(mode="json") for entry in entries]
         return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
 
@@ -190,23 +196,30 @@ class CampaignStatistics:
             raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
     def _sql_column(self, column: str) -> str:
+        """Quoted name of a column of the rows; raises ModelError for an unknown name."""
         if column not in self.columns:
             raise unknown_name_error("column of these rows", column, self.columns)
         return sql_identifier(column)
 
     def half_width_of_interval(self, n_trials: int, sigma: float) -> float:
-        """Half-width of the 95 % confidence interval of a mean of `n_trials` values with standard deviation `sigma`."""
+        """Half-width of the 95 % confidence interval of the mean of `n_trials` values with standard deviation `sigma`.
+
+        It is wider than without adaptive stopping if the campaign has a stopping rule.
+        """
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
-        return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
+        return student_t_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def statistic_summaries(self, column: str) -> list[StatisticSummary]:
-        """Mean with confidence interval, standard deviation and quantiles of a column, for each cell and method."""
+        """Mean with confidence interval, standard deviation and quantiles of a column.
+
+        There is one summary for each cell (combination of factor levels) and method.
+        """
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
         n_values = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if n_values <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
+        kind = "quantile_cont" if n_values <= MAX_ROWS_FOR_EXACT_QUANTILES else "approx_quantile"
         select_list = (
             f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
             f"{[*QUANTILE_LEVELS]})"
@@ -237,6 +250,7 @@ class CampaignStatistics:
     def _query_each_cell(
         self, expressions: str, condition: str = "true", row_selection: str = "rows"
     ) -> list[tuple[Any, ...]]:
+        """Result of an SQL query with the given expressions, one row per combination of factor levels and method."""
         sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a report needs the same query for its figures and its tables
@@ -244,7 +258,10 @@ class CampaignStatistics:
         return self._cache[sql]
 
     def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
-        """Ratio of two means over all trials for each cell and method, with its interval by the delta method."""
+        """Ratio of two means over all trials, with its confidence interval by the delta method.
+
+        There is one ratio for each cell (combination of factor levels) and method.
+        """
         gained, correctable = statistic_sql_expressions(column)
         row_selection = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
@@ -263,12 +280,18 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (trials,) of a column for a cell and method, from the first `max_trials` trials."""
+        """Finite values (trials,) of a column for one cell and method, in the first `max_trials` trials.
+
+        `cell` is the index of the combination of factor levels.
+        """
         name = self._sql_column(column)
         return self.sql_expression_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def sql_expression_values(self, sql_expressions: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (expressions, trials) of SQL expressions in the rows of a cell and method that meet a condition."""
+        """Values (expressions, trials) of SQL expressions in the rows of a cell and method that satisfy `condition`.
+
+        `cell` is the index of the combination of factor levels.
+        """
         word = method.replace("'", "''")
         query_rows = self.query(
             f"SELECT {', '.join(sql_expressions)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' "
@@ -277,7 +300,10 @@ class CampaignStatistics:
         return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(sql_expressions)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
-        """Mean, standard deviation and coverage of the z-scores of each parameter, for each cell and method."""
+        """Mean, standard deviation and coverage of the z-scores of each parameter.
+
+        There is one summary for each cell (combination of factor levels) and method.
+        """
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._sql_column(column), column.removeprefix("z:")
@@ -288,7 +314,10 @@ class CampaignStatistics:
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
-        """Numbers of trials by solver, and largest difference of the solvers, for each cell and method."""
+        """Numbers of trials by solver, and largest difference between the solvers.
+
+        There is one comparison for each cell (combination of factor levels) and method.
+        """
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
         query_rows = self._query_each_cell(
             f"count(*), {ended}, count({SOLVER_DIFFERENCE_COLUMN}), max({SOLVER_DIFFERENCE_COLUMN})"
@@ -296,7 +325,7 @@ class CampaignStatistics:
         return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
-        """Statistics of all columns, for each cell and method."""
+        """Statistics of all columns, for each cell (combination of factor levels) and method."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != SOLVER_DIFFERENCE_COLUMN
         ]
@@ -307,7 +336,7 @@ class CampaignStatistics:
             factors=tuple(self.factors),
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
             solver_comparisons=tuple(self.solver_comparisons()),
-            meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
+            meanings={c: described.meaning for c in columns_used if (described := find_result_column(c))},
             columns=tuple(entry for column in columns_used for entry in self.statistic_summaries(column)),
             z_scores=tuple(self.z_score_summaries()),
         )
@@ -315,7 +344,7 @@ class CampaignStatistics:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Context in which an interrupted query raises KeyboardInterrupt in place of DuckDB's RuntimeError."""
+    """Context in which an interrupted query raises KeyboardInterrupt instead of DuckDB's RuntimeError."""
     try:
         yield
     except RuntimeError as problem:
@@ -325,33 +354,35 @@ def _interruptible() -> Iterator[None]:
 
 
 def _column_units(schema: pa.Schema) -> dict[str, str]:
-    """Units by column name, from the metadata of a shard; the improvement columns that queries add are included."""
+    """Units by column name, from the metadata of a file of rows, also for the improvement columns that queries add."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
-    added = {f"{kind}_improvement_percent": "%" for kind in IMPROVED_CRITERIA}
+    added = {f"{kind}_improvement_percent": "%" for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
 def _improvement_sql(names: list[str]) -> str:
-    """SQL expressions for the improvement by calibration [%] of the criteria that are among the columns `names`."""
+    """SQL expressions of the improvement by calibration [%], for the criteria whose columns are in `names`."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
-        for kind in IMPROVED_CRITERIA
+        for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT
         if {f"{kind}_after_mean_um", f"{kind}_before_mean_um"} <= set(names)
     ]
     return "".join(added)
 
 
 def _nan_if_none(value: float | None) -> float:
+    """Number, or NaN in place of None."""
     return math.nan if value is None else float(value)
 
 
 def database_memory_limit(shards: Sequence[Path]) -> str:
-    """Largest memory that DuckDB may use for queries over `shards`, as the text of its setting: `250MiB`."""
+    """Largest memory of DuckDB for queries over the files `shards`, as text for its settings: `250MiB`."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
     return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> InputError:
+    """InputError for a file of rows that cannot be read, with the reason and the repair."""
     reason = safe_excerpt(str(problem).split("\n")[0], 200)
     repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
     return InputError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

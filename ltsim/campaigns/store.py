@@ -1,13 +1,13 @@
-"""Folder of a campaign: a manifest and shards of rows, written so that no finished shard can be lost.
+"""Folder of a campaign: a manifest and files of rows (shards), written so that no finished shard can be lost.
 
     manifest.json                          settings, seed, versions, commit; written before the first row
     campaign.toml                          copy of the campaign file
-    rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one cell, all methods
+    rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one combination of factor levels (cell)
     rows.sha256                            digest of each shard, as `sha256sum --check` reads it
 
 A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend only on
-settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed after it
-wrote the shard and before it wrote the digest; then the reader checks the checksums of the Parquet pages and the
+settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed between
+writing the shard and writing its digest. In this case the reader checks the checksums of the Parquet pages and the
 metadata.
 """
 
@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
-from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
+from ltsim.campaigns.schema import SUMMARY_FILE_NAME, ManifestFile
 from ltsim.core.errors import InputError, RecordError, option_text
 from ltsim.core.limits import MAX_READ_SHARD_ROWS
 from ltsim.core.storage import (
@@ -40,18 +40,20 @@ from ltsim.core.storage import (
 )
 from ltsim.recordings.result_file import read_result
 
-MANIFEST_FILE = ManifestFile.FILE
-"""Name of the file that defines a campaign."""
-CAMPAIGN_FILE = "campaign.toml"
-"""Name of the copy of the campaign file in the folder of a campaign."""
-ROWS_FOLDER = "rows"
+MANIFEST_FILE_NAME = ManifestFile.FILE
+"""Name of the file that defines a campaign, in its folder."""
+CAMPAIGN_FILE_NAME = "campaign.toml"
+"""Name of the copy of the campaign file, in the folder of the campaign."""
+ROWS_FOLDER_NAME = "rows"
 """Name of the subfolder with the files of rows (shards)."""
-LOCK_FILE = ".lock"
-"""Name of the file that a running process locks."""
-DIGESTS_FILE = "rows.sha256"
+LOCK_FILE_NAME = ".lock"
+"""Name of the file that a running campaign locks, so that no second process writes to its folder."""
+DIGESTS_FILE_NAME = "rows.sha256"
 """Name of the file with the SHA-256 digest of each shard."""
-DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
-"""Pattern of a complete line in the file of digests."""
+DIGEST_LINE_PATTERN = re.compile(
+    r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE
+)
+"""Pattern of a complete line in the file of digests: SHA-256 digest and path of a file of rows."""
 
 
 def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
@@ -75,7 +77,7 @@ def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
 
 
 def read_shard(path: Path) -> pa.Table:
-    """Rows of a shard with verified checksums.
+    """Rows of a file of rows (shard), after a check of its checksums.
 
     Raises `pyarrow.ArrowException` or OSError, also for more rows than a shard can have.
     """
@@ -86,34 +88,40 @@ def read_shard(path: Path) -> pa.Table:
 
 
 def _check_number_of_rows(path: Path, metadata: pq.FileMetaData) -> None:
-    """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
+    """Check of the number of rows in a file of rows (shard); raises `pyarrow.ArrowInvalid` for too many rows."""
     if metadata.num_rows > MAX_READ_SHARD_ROWS:
         raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_READ_SHARD_ROWS}")
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> InputError:
-    """InputError for a campaign that ended early, with the `reason`, a `remedy` to take first, and how to continue."""
+    """InputError for a campaign that ended early, which tells the user how to continue.
+
+    `reason` says why it ended; `remedy`, if given, is what to do first.
+    """
     action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
     return InputError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """Folder of a campaign, with its manifest, shards and digests."""
+    """Folder of a campaign, with its manifest, files of rows (shards) and digests."""
 
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Path of the shard number `shard` of the cell number `cell`, both from 0."""
-        return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
+        """Path of file of rows (shard) number `shard`, from 0, of a cell.
+
+        `cell` is the index, from 0, of the combination of factor levels.
+        """
+        return self.folder / ROWS_FOLDER_NAME / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order, at most the first `max_shards` of each cell."""
-        paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
+        """Paths of the finished files of rows (shards), the first `max_shards` per combination of factor levels."""
+        paths = sorted(self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
-        """Rows of a finished shard; raises InputError for a damaged one."""
+        """Rows of a finished file of rows (shard); raises InputError for a damaged one."""
         path = self.shard_path(cell, shard)
         try:
             return read_shard(path)
@@ -122,12 +130,12 @@ class CampaignFolder:
             raise InputError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
-        """Check that shards are unchanged since they were written, and belong to the cell in whose folder they are.
+        """Check that files of rows (shards) are unchanged since they were written, and are in the folder of their cell.
 
-        `cell_digests` is the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is raised
-        for a damaged shard.
+        `cell_digests` holds the digest of each cell (combination of factor levels) by its number. OSError, ValueError
+        or pyarrow.ArrowException is raised for a damaged shard.
         """
-        digests = self.recorded_digests()
+        digests = self.recorded_shard_digests()
         for path in shards:
             name = path.relative_to(self.folder).as_posix()
             if name in digests:
@@ -139,56 +147,59 @@ class CampaignFolder:
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} belongs to another campaign")
 
-    def recorded_digests(self) -> dict[str, str]:
-        """Recorded digest of each shard, by the path of the shard in the folder."""
+    def recorded_shard_digests(self) -> dict[str, str]:
+        """Recorded SHA-256 digest of each file of rows (shard), by its path in the folder."""
         try:
-            text = read_whole_file(self.folder / DIGESTS_FILE).decode("ascii", "replace")
+            text = read_whole_file(self.folder / DIGESTS_FILE_NAME).decode("ascii", "replace")
         except OSError:
             return {}
-        return {match["name"]: match["digest"] for match in DIGEST_LINE.finditer(text)}
+        return {match["name"]: match["digest"] for match in DIGEST_LINE_PATTERN.finditer(text)}
 
     @property
     def has_campaign(self) -> bool:
         """True if the folder contains a campaign."""
-        return (self.folder / MANIFEST_FILE).exists()
+        return (self.folder / MANIFEST_FILE_NAME).exists()
 
     def manifest(self) -> ManifestFile:
         """Manifest of the campaign; raises InputError if there is none or it is damaged."""
         if not self.has_campaign:
-            raise InputError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE})")
+            raise InputError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE_NAME})")
         try:
             return read_result(self.folder, ManifestFile)
         except RecordError as problem:
             raise InputError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
-        """Writing of the campaign's input files (contents by name), and then of its manifest; old ones are replaced."""
+        """Writing of the campaign's input files (contents by name), then of its manifest; old files are replaced."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
+            write_files(self.folder, {**input_files, MANIFEST_FILE_NAME: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Atomic writing of a shard; raises InputError if the disk is full or not writable."""
+        """Atomic writing of a file of rows (shard); raises InputError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
             write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
-        """Recording of the digest of a complete shard, for a process that was killed before it recorded the digest."""
+        """Recording of the digest of a complete file of rows (shard), which a killed process did not record."""
         path = self.shard_path(cell, shard)
         with self._storage_errors():
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
 
     def _append_digest(self, name: str, digest: str) -> None:
-        append_text(self.folder, DIGESTS_FILE, f"{digest}  {name}\n")
+        """Appending of one line, digest and name of a file of rows, to the file of digests."""
+        append_text(self.folder, DIGESTS_FILE_NAME, f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with the input files `sources` would overwrite.
 
-        `sources` holds contents by file name; a file with the same content is no conflict.
+        `sources` holds the contents of input files by name; an existing file with the same content is no conflict.
         """
-        remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
+        remaining = [
+            name for name in (ROWS_FOLDER_NAME, DIGESTS_FILE_NAME, SUMMARY_FILE_NAME) if (self.folder / name).exists()
+        ]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return remaining + [
             n for n, path in existing_paths.items() if not path.is_file() or read_whole_file(path) != sources[n]
@@ -196,20 +207,20 @@ class CampaignFolder:
 
     def remove_campaign(self) -> None:
         """Removal of manifest, rows and derived files; RecordError if a link leads to rows outside the folder."""
-        path_in_folder(self.folder, ROWS_FOLDER)
+        path_in_folder(self.folder, ROWS_FOLDER_NAME)
         with self._storage_errors():
-            for name in (MANIFEST_FILE, DIGESTS_FILE, SUMMARY_FILE):
+            for name in (MANIFEST_FILE_NAME, DIGESTS_FILE_NAME, SUMMARY_FILE_NAME):
                 (self.folder / name).unlink(missing_ok=True)
-            if (self.folder / ROWS_FOLDER).exists():
-                shutil.rmtree(self.folder / ROWS_FOLDER)
+            if (self.folder / ROWS_FOLDER_NAME).exists():
+                shutil.rmtree(self.folder / ROWS_FOLDER_NAME)
 
     def shard_status(
         self, cell: int, shard: int, required_metadata: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
     ) -> str:
         """Status of a shard: `complete`, `missing`, `damaged`, or `incomplete` (rows or columns are missing).
 
-        `required_metadata` and `n_rows` are metadata and number of rows of a complete shard, `digests` the recorded
-        digests by path.
+        `required_metadata` and `n_rows` are metadata and number of rows of a complete file of rows (shard), `digests`
+        the recorded digests by path.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -230,7 +241,7 @@ class CampaignFolder:
         return "incomplete" if is_incomplete else "complete"
 
     def quarantine_shard(self, cell: int, shard: int) -> Path:
-        """New path of a damaged shard, after it is renamed so that the user can inspect it."""
+        """Renaming of a damaged file of rows (shard), so that the user can inspect it; returns its new path."""
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
         path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())
@@ -239,22 +250,22 @@ class CampaignFolder:
         return damaged_path
 
     def remove_unfinished_files(self) -> None:
-        """Removal of what a killed run left unfinished: temporary files, and an incomplete line of digests."""
+        """Removal of the remains of a killed run: temporary files, and an incomplete line in the file of digests."""
         with self._storage_errors():
-            for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
+            for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
-            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_digests().items()).encode()
-            file = path_in_folder(self.folder, DIGESTS_FILE)
+            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_shard_digests().items()).encode()
+            file = path_in_folder(self.folder, DIGESTS_FILE_NAME)
             if file.exists() and read_whole_file(file) != lines:
-                write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
+                write_files(self.folder, {DIGESTS_FILE_NAME: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
+        """Context in which no other process can write to the folder; the lock ends with this process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            require_no_link(self.folder, LOCK_FILE)  # the library may empty the file
-            lock = FileLock(self.folder / LOCK_FILE, blocking=False)
+            require_no_link(self.folder, LOCK_FILE_NAME)  # the library may empty the file
+            lock = FileLock(self.folder / LOCK_FILE_NAME, blocking=False)
             try:
                 lock.acquire()
             except Timeout:
@@ -266,6 +277,7 @@ class CampaignFolder:
 
     @contextlib.contextmanager
     def _storage_errors(self) -> Iterator[None]:
+        """Context that converts errors of the file system to an InputError that says how to continue."""
         try:
             yield
         except OSError as problem:
@@ -276,20 +288,22 @@ class CampaignFolder:
 
 
 def stored_statistic_groups(table: pa.Table) -> list[str]:
-    """Names of the groups of results in the rows of a shard, from the metadata of its file."""
+    """Names of the groups of result columns in a file of rows (shard), from its metadata."""
     return _shard_metadata(table)["statistics"].split()
 
 
 def _shard_metadata(table: pa.Table) -> dict[str, str]:
+    """Metadata of a file of rows (shard), as text by key."""
     return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
 
 
 def _file_digest(path: Path) -> str:
+    """SHA-256 digest of a file, as hexadecimal text."""
     with open_for_reading(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def sql_path(path: Path) -> str:
+def path_as_sql_text(path: Path) -> str:
     """Path as a quoted SQL text, in which brackets and asterisks are not interpreted as patterns."""
     escaped_path = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
     return "'" + escaped_path.replace("'", "''") + "'"

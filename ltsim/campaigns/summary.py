@@ -1,4 +1,4 @@
-"""Summary of a campaign: statistics for each cell and method, as Python objects and as JSON."""
+"""Summary of a campaign: statistics for each combination of factor levels and method, as objects and as JSON."""
 
 import math
 from typing import Annotated, Literal
@@ -11,33 +11,34 @@ from ltsim.recordings.result_file import Entry
 
 
 def _null_if_not_finite(value: float) -> float | None:
+    """Number, or None in place of NaN and infinity."""
     return value if math.isfinite(value) else None
 
 
 NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=float | None, when_used="json")]
-"""Number; NaN stands for a number that does not exist, and becomes null in JSON."""
+"""Number, or NaN for a missing number; NaN becomes null in JSON."""
 
 
 class StatisticSummary(Entry):
-    """Statistics of one column over the trials of a cell (combination of factor levels) and method.
+    """Statistics of one column over the trials of one cell (combination of factor levels) and method.
 
     A ratio over all trials has only a mean and a confidence interval.
     """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     column: str
-    """Name of the column of the rows, or of a ratio over all trials."""
+    """Name of the result column, or of a ratio over all trials."""
     trials: int
     """Number of trials of this cell (combination of factor levels) and method that have a value in this column."""
     mean: NumberOrNaN
     """Mean over the trials, or ratio over all trials."""
     low: NumberOrNaN
-    """Lower 95 % confidence limit of the mean, valid also with adaptive stopping."""
+    """Lower 95 % confidence limit of the mean, which is valid also with adaptive stopping."""
     high: NumberOrNaN
-    """Upper 95 % confidence limit of the mean."""
+    """Upper 95 % confidence limit of the mean, which is valid also with adaptive stopping."""
     standard_deviation: NumberOrNaN = math.nan
     """Standard deviation over the trials."""
     minimum: NumberOrNaN = math.nan
@@ -53,11 +54,12 @@ class StatisticSummary(Entry):
 class ZScoreSummary(Entry):
     """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
 
-    The z-scores are standard normal if the true values are drawn from the prior and the covariance is correct.
+    A cell is a combination of factor levels. The z-scores are standard normal if the true values are drawn from the
+    prior and the covariance is correct.
     """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     parameter: str
@@ -73,10 +75,13 @@ class ZScoreSummary(Entry):
 
 
 class SolverComparison(Entry):
-    """Comparison of the batch solver and the full solver in the trials of a cell and method."""
+    """Comparison of the batch solver with the full solver, in the trials of one cell and method.
+
+    A cell is a combination of factor levels.
+    """
 
     cell: int
-    """Index of the cell in the campaign, from 0."""
+    """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the method."""
     trials: int
@@ -101,16 +106,17 @@ class CampaignSummary(Entry):
     trials: int
     """Largest number of trials of a cell (combination of factor levels); adaptive stopping may use fewer."""
     factors: tuple[Factor, ...]
-    """Factors: keys of the scenario whose values differ between cells."""
+    """Factors of the campaign: keys of the scenario whose values differ between cells (combinations of factor levels).
+    """
     cells: tuple[CellEntry, ...]
     """Cells (combinations of factor levels) of the campaign."""
     solver_comparisons: tuple[SolverComparison, ...]
-    """Comparison of batch and full solver for each cell and method."""
+    """Comparison of batch solver and full solver for each cell (combination of factor levels) and method."""
     quantile_levels: tuple[float, ...] = QUANTILE_LEVELS
     """Probabilities of the quantiles in `columns`."""
     meanings: dict[str, str]
     """Meaning of each column, by the name of the column."""
     columns: tuple[StatisticSummary, ...]
-    """Statistics of each column, for each cell and method."""
+    """Statistics of each result column, for each cell (combination of factor levels) and method."""
     z_scores: tuple[ZScoreSummary, ...]
-    """Summary of the z-scores of each parameter, for each cell and method."""
+    """Summary of the z-scores of each parameter, for each cell (combination of factor levels) and method."""

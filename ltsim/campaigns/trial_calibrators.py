@@ -1,6 +1,7 @@
 """Calibrators of batches of trials: calibration of each recording by `lt.calibrate`, and batch network adjustment.
 
-benchmarks/README.md lists the run time of each step per trial (paper's workshop: 420 readings, 130 unknowns, one core).
+The file benchmarks/README.md lists the run time of each step per trial (paper's workshop: 420 readings, 130 unknowns,
+one core).
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.simulator import with_certified_lengths
+from ltsim.simulation.simulator import with_certified_reference_lengths
 
 MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
 """Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
-`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross
-errors."""
+`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the full solver, which rejects gross errors, calibrates the trial.
+"""
 MIN_GROSS_ERROR_DISPLACEMENT_RATIO = 10.0
-"""Ratio of the largest to the median displacement of the measured points of a trial from their nominal positions, above
-which the trial may contain a gross error."""
+"""Ratio of the largest to the median displacement of measured points from their nominal positions, above which a trial
+may contain a gross error."""
 
 
 @dataclass(frozen=True)
 class CalibratedBatch:
-    """Estimates of a calibration for each trial of a batch."""
+    """Results of a calibration method for each trial of a batch."""
 
     instrument_values: Floats
     """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
@@ -55,16 +56,16 @@ class CalibratedBatch:
     status_indices: Ints
     """Status of each trial, (trials,), as index into `TRIAL_STATUSES`."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]; (0, 0) without effects."""
+    """Estimated parameters of effects, (effect parameters, trials) [SI]; (0, 0) if no effect is estimated."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Standard deviations of the parameters of effects [SI]: (effect parameters, 1) if all trials share them, else
     (effect parameters, trials)."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
     """Estimated parameters, (14, trials) [SI], of the effect `smr-incidence` (range error by incidence angle), by name
-    of the reflector, for reflectors whose error is estimated."""
+    of the reflector; only reflectors whose error is estimated."""
 
     @property
-    def estimates(self) -> tuple[Floats, Floats]:
+    def estimates_and_sigmas(self) -> tuple[Floats, Floats]:
         """All estimated parameters, and their standard deviations, each (all parameters, trials) [SI].
 
         The rows are the parameters of each instrument, followed by those of the effects.
@@ -80,7 +81,7 @@ class CalibratedBatch:
     def from_failed_trials(
         cls, true_network: TrueNetwork, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBatch:
-        """Results for trials without a solution: all estimates are NaN, and the status is `failed`."""
+        """Results for `n_trials` trials without a solution: all estimates are NaN, and the status is `failed`."""
         instrument_values = np.full(
             (len(true_network.recording.instruments), construction.n_parameters, n_trials), np.nan
         )
@@ -100,7 +101,7 @@ class CalibratedBatch:
         )
 
     def copy_results_of_trial(self, trial: int, source_batch: CalibratedBatch, source_trial: int) -> None:
-        """Copying of the results of trial `source_trial` of another batch to trial `trial` of this batch, in place.
+        """Copying of the results of trial `source_trial` of `source_batch` to trial `trial` of this batch, in place.
 
         Standard deviations are copied only if they differ between trials.
         """
@@ -117,23 +118,23 @@ class CalibratedBatch:
 
 @dataclass(frozen=True)
 class TrialCalibrator:
-    """Base class of the calibrators that a campaign compares."""
+    """Base class of the calibrators of a campaign, one for each calibration method."""
 
     true_network: TrueNetwork
-    """True network geometry of the cell whose trials are calibrated."""
+    """True network geometry of the calibrated trials."""
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
-    """Additional effects that are estimated."""
+    """Effects that are estimated in addition to the instrument parameters."""
     method: str = "network"
     """Name of the method in the campaign file."""
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; trials whose index is not in `trial_indices` may be NaN."""
+        """Results for the trials of a batch; those of trials whose index is not in `trial_indices` may be NaN."""
         raise NotImplementedError
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference between the `results` of this calibrator for a trial and the full solver, in sigmas.
+        """Largest difference between `results` of this calibrator for a trial and the full solver, in sigmas.
 
         The difference is NaN if this calibrator is the full solver.
         """
@@ -144,7 +145,7 @@ def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial
     """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
     recording = true_network.recording.with_readings(true_network.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
-    return with_certified_lengths(
+    return with_certified_reference_lengths(
         recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
     )
 
@@ -152,7 +153,7 @@ def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     """Adjusted targets (targets, 3) [m] after rigid alignment to `reference_points`; NaN for undetermined targets.
 
-    Ranges alone do not determine the handedness of the network; the mirror image that fits better is then used.
+    Ranges alone do not determine the handedness of the network. The mirror image is then used if it fits better.
     """
     is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
@@ -165,8 +166,8 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
 def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -> tuple[Bools, Floats]:
     """Mask (sets, targets) of the targets measured completely in each set of pointings, and weights (pointings,).
 
-    The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (pointings,) is the set
-    of each pointing.
+    `set_numbers` (pointings,) is the number of the set (one station, or one station and face) of each pointing. The
+    weight of a pointing is its share in the mean point of its set and target.
     """
     recording, targets = true_network.recording, len(true_network.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & true_network.is_recorded_observable.all())
@@ -176,10 +177,10 @@ def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -
 
 
 def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
-    """Mask (trials,) of the trials that may contain a gross error, so that the full solver must solve them.
+    """Mask (trials,) of the trials that may contain a gross error, so that the full solver has to calibrate them.
 
-    `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points`, (pointings, 3,
-    trials) or (pointings, 3, 1) if all trials share them, are the targets in the instruments' frames [m].
+    `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points` are the targets in
+    the instruments' frames [m], (pointings, 3, trials), or (pointings, 3, 1) if all trials share them.
     """
     horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
     miss = reading_deviations * np.stack(
@@ -194,15 +195,14 @@ def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) 
 
 @dataclass(frozen=True)
 class SerialCalibrator(TrialCalibrator):
-    """Full solver: calibration of each recording separately by `lt.calibrate`."""
+    """Full solver: separate calibration of each recording by `lt.calibrate`."""
 
     uses_applied_corrections: bool = False
-    """True if the corrections that `ltsim calibrate` applies are returned in place of the estimates. The standard
-    deviations of the estimates are returned in both cases.
-    """
+    """True to return the corrections that `ltsim calibrate` applies, in place of the estimates. The standard deviations
+    are those of the estimates in both cases."""
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
-        """Estimates for the trials of a batch; only the trials with the indices `trial_indices` are computed."""
+        """Results for the trials of a batch; only the trials with the indices `trial_indices` are calibrated."""
         calibrated = CalibratedBatch.from_failed_trials(
             self.true_network, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
@@ -233,10 +233,10 @@ class SerialCalibrator(TrialCalibrator):
         return calibrated
 
     def adjust_recording(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
-        """Adjustment of a recording, its instrument parameters, and their standard deviations.
+        """Adjustment of a recording, its estimated instrument parameters, and their standard deviations.
 
-        The arrays have the shape (instruments, parameters) [SI]. The adjustment is None for a calibration that adjusts
-        no network.
+        The arrays have the shape (instruments, parameters) [SI]. The adjustment is None for a distance method, which
+        adjusts no network.
         """
         if self.uses_applied_corrections:
             calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
@@ -252,27 +252,27 @@ class SerialCalibrator(TrialCalibrator):
 
 @dataclass(frozen=True)
 class BatchCalibrator(TrialCalibrator):
-    """Calibrator of all trials in one network geometry as a batch.
+    """Calibrator that processes all trials in one network geometry together.
 
-    Trials that do not converge, or that may contain gross errors, are solved by the full solver.
+    Trials that do not converge, or that may contain gross errors, are calibrated by the full solver.
     """
 
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
-        """Full solver for trials that the batch cannot solve, and for verification."""
+        """Full solver, for trials that the batch solver cannot solve, and for verification."""
         return SerialCalibrator(self.true_network, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
-        """Nominal network, whose inverted normal matrix is used to adjust all trials."""
+        """Network with nominal readings, whose inverted normal matrix is used to adjust all trials."""
         true_network, built = self.true_network, self.construction if self.method == "network" else ideal_construction()
-        program, recorded = true_network.chain_program(built), true_network.is_recorded_observable
+        program, recorded = true_network.kinematic_chain(built), true_network.is_recorded_observable
         return BatchNetwork(
             true_network.recording, true_network.state, built, program, self.effects, is_adjusted_observable=recorded
         )
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
-        """Estimates for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
+        """Results for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
         network, fit = (
             self.batch_network,
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
@@ -286,7 +286,7 @@ class BatchCalibrator(TrialCalibrator):
         ), fit.has_converged
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints | None = None) -> CalibratedBatch:
-        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_indices`, if given."""
+        """Results for the trials of a batch; the slow full solver is used only for `trial_indices`, if given."""
         trial_indices = np.arange(len(trial_batch.trial_numbers)) if trial_indices is None else trial_indices
         calibrated, good = self.calibrate_batch(trial_batch, trial_indices)
         is_sufficient = good & ~possible_gross_error_mask(

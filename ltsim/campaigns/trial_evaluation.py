@@ -28,14 +28,13 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
 MAX_COLLINEAR_SPREAD_RATIO = 1e-3
-"""Largest ratio of the spread of targets perpendicular to a line to their spread along the line, at which they do not
-determine the rotation about the line. Such targets do not determine a frame.
-"""
+"""Largest ratio of the spread of targets perpendicular to a line to their spread along it, at which they count as
+collinear. Collinear targets determine no frame, because the rotation about the line is undetermined."""
 
 
 @dataclass(frozen=True)
 class TrialEvaluator:
-    """Evaluator of calibrations for trials in one true network geometry.
+    """Evaluator of calibrations of trials in one true network geometry.
 
     Quantities that do not depend on the method are computed once per batch of trials.
     """
@@ -54,21 +53,24 @@ class TrialEvaluator:
         return self._measured_targets_and_weights[0]
 
     @cached_property
-    def has_criteria(self) -> bool:
+    def can_compute_criteria(self) -> bool:
         """True if the disagreement of the stations in distances and coordinates can be computed.
 
-        At least two stations are needed, and each must share enough targets with the first station to determine its
-        pose relative to the first.
+        This needs at least two stations. Each must share enough targets with the first station to determine its pose
+        relative to the first station.
         """
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
     def is_frame_determined(self) -> Bools:
-        """Mask (stations,) of stations whose targets determine a frame; only these are compared with the truth."""
+        """Mask (stations,) of the stations whose targets determine a frame; others have no error of measured points."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
-        """Mask (target sets,) of the sets of targets, given as masks (target sets, targets), that determine a frame."""
+        """Mask (target sets,) of the sets of targets that determine a frame.
+
+        `is_used_target` (target sets, targets) contains a mask of the targets of each set.
+        """
         return determines_pose(
             self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_COLLINEAR_SPREAD_RATIO
         )
@@ -79,18 +81,18 @@ class TrialEvaluator:
         construction: GeometricErrorModel | None = None,
         parameter_values: Floats | None = None,
     ) -> Floats:
-        """Mean measured point of each station on each target in the nominal network frame.
+        """Mean measured point of each target from each station, in the nominal network frame.
 
         The shape is (stations, targets, 3, trials) [m]; the mean is over faces and repeats. `reading_deviations`
         (pointings, 3, trials) are readings minus nominal readings. The readings are corrected by the parameters
-        `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model.
+        `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model `construction`, if given.
         """
         recording, trials = self.true_network.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
             construction, parameter_values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(reading_deviations.shape), np.zeros((*self.is_measured.shape, 3, trials))
         compute_points(
-            self.true_network.chain_program(construction),
+            self.true_network.kinematic_chain(construction),
             recording.instrument,
             reading_deviations,
             parameter_values,
@@ -133,8 +135,8 @@ class TrialEvaluator:
     def measured_point_error(self, clouds: Floats) -> Floats:
         """Rms distance (trials,) [um] between measured and true targets, after a rigid fit of each station's points.
 
-        `clouds` (stations, targets, 3, trials) [m] are the points of each station. Stations whose targets determine no
-        frame are omitted. The result is NaN if no station remains.
+        `clouds` (stations, targets, 3, trials) [m] are the points measured from each station. Stations whose targets
+        determine no frame are left out. The result is NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
@@ -147,9 +149,9 @@ class TrialEvaluator:
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def adjusted_target_error(self, points: Floats) -> Floats:
-        """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
+        """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true positions.
 
-        `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
+        `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are left out.
         """
         is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
@@ -165,12 +167,12 @@ class TrialEvaluator:
         return error
 
     def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
-        """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
+        """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
         raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
         perfect = self.mean_points_by_station(
             trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
         )
-        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
+        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.can_compute_criteria else {}
         columns["error_raw_um"] = self.measured_point_error(raw_clouds)
         columns["error_true_parameters_um"] = self.measured_point_error(perfect)
         return columns
@@ -182,7 +184,7 @@ class TrialEvaluator:
         construction: GeometricErrorModel,
         effects: Sequence[Effect] = (),
     ) -> ResultColumns:
-        """Columns of a method: criteria and errors after correction of the readings by its parameters and effects.
+        """Columns of a method: criteria and errors after correction of the readings by its estimates.
 
         As in `calibrate` and `evaluate`, the estimated range errors of reflectors by incidence angle are corrected too.
         Other nuisance errors with a prior remain in the readings. The correction by true parameters corrects no
@@ -197,7 +199,7 @@ class TrialEvaluator:
                 "ncqb,qb->ncb", self.true_network.effect_design(tuple(effects)), estimates.effect_values
             )
         corrected_clouds = self.mean_points_by_station(deviation, construction, estimates.instrument_values)
-        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
+        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.can_compute_criteria else {}
         columns["error_calibrated_um"] = self.measured_point_error(corrected_clouds)
         columns["target_error_um"] = self.adjusted_target_error(estimates.target_errors)
         return columns

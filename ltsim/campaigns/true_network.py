@@ -1,7 +1,7 @@
 """True network geometry of a cell (combination of factor levels), and its trials, drawn in batches as by the simulator.
 
-A trial depends only on its number, and not on workers, number of trials or compared methods. All cells of a campaign
-use the same random streams, so that they differ by their factor levels and not by chance.
+A trial depends only on its number, and not on the workers, the number of trials or the compared methods. All cells of a
+campaign use the same random streams, so that they differ only by their factor levels and not by chance.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import InputError
 from ltsim.core.limits import (
@@ -32,26 +32,26 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
+from ltsim.simulation.draws import DrawnTrialValues, EffectDistribution, StandardNormalSource, TrialDistributions
 from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
 from ltsim.simulation.workshop import WorkshopLayout
 
-FULL_TURN = 2 * np.pi
+FULL_TURN_RAD = 2 * np.pi
 """Full turn [rad]."""
 MAX_EFFECT_NONLINEARITY_SIGMAS = 1e-3
-"""Largest difference between the exact and the linear change of a reading by an effect with the size of three prior
-standard deviations, divided by the standard deviation of the reading, at which the linear form of the effect is used
-for all trials. For a larger difference the exact change is computed trial by trial."""
+"""Largest nonlinearity at which the linear form of an effect is used for all trials. It is the difference between exact
+and linear change of a reading by an effect of three prior standard deviations, divided by the sigma of the reading. For
+a larger nonlinearity the exact change is computed trial by trial."""
 
 MAX_CACHED_EFFECT_DESIGNS = 8
-"""Largest number of design matrices of effects, one for each combination of effects, that a network geometry keeps."""
+"""Largest number of cached design matrices of effects per network geometry, one for each combination of effects."""
 
 
 def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
-    """Network geometry of a scenario of a campaign, with a check of its size.
+    """Measurement geometry of a scenario of a campaign, with a check of its size.
 
     InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
     """
@@ -76,22 +76,21 @@ class TrialBatch:
     """Batch of drawn trials: true values, readings and reference lengths of each trial."""
 
     trial_numbers: Ints
-    """Numbers of the trials, (trials,)."""
+    """Numbers of the trials in the campaign, (trials,)."""
     instrument_values: Floats
     """True instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: tuple[Floats, ...]
-    """True parameters of each additional effect, each (effect parameters, trials) [SI]."""
+    """True parameters of each effect of the scenario, each (effect parameters, trials) [SI]."""
     reading_deviations: Floats
     """Readings minus nominal readings, (pointings, 3, trials) [m, rad, rad]."""
     length_errors: Floats
     """Declared minus true reference lengths, (lengths, trials) [m]."""
     single_trial_batches: tuple[TrialBatch, ...] = ()
-    """Batch of one trial for each trial, in the order of its pointings, if network geometries differ; otherwise
-    empty."""
+    """A batch of one trial for each trial, if the trials have separate network geometries; otherwise empty."""
 
     @property
     def true_values(self) -> Floats:
-        """All true parameters (parameters, trials) [SI]: those of each instrument, then those of the effects."""
+        """All true parameters (parameters, trials) [SI]: those of each instrument, followed by those of the effects."""
         return np.concatenate([self.instrument_values.reshape(-1, len(self.trial_numbers)), *self.effect_values])
 
 
@@ -102,16 +101,16 @@ class TrueNetwork:
     recording: Recording
     """Recording with nominal readings, which an ideal tracker reads at `state`."""
     state: NetworkState
-    """True poses and targets, in the frame in which a calibrator starts: the frame of the first station."""
+    """True poses and targets, in the frame in which a calibration starts (frame of the first station)."""
     distributions: TrialDistributions
-    """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
+    """Distributions of the random values of a trial; the positions in them may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
-    """Resolution of the readings of each instrument, (instruments, 3) [m, rad, rad]; 0 for none."""
+    """Resolution of the readings of each instrument, (instruments, 3) [m, rad, rad]; 0 means no rounding."""
     is_recorded_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """Mask (3,) of the observables (range, azimuth, elevation) that are recorded; an observable that is not recorded
-    has the deviation 0."""
+    """Mask (3,) of the recorded observables (range, azimuth, elevation). The reading deviations of all others are 0."""
     geometry: MeasurementGeometry | None = None
-    """Network geometry with which the simulator computes trials with blunders one by one; None without blunders."""
+    """Measurement geometry, from which the simulator computes trials with blunders one by one; None without blunders.
+    """
 
     @property
     def sightings(self) -> Sightings:
@@ -125,7 +124,7 @@ class TrueNetwork:
 
     @property
     def effects(self) -> tuple[EffectDistribution, ...]:
-        """Effects in addition to the instrument's errors, with the distributions of their parameters."""
+        """Effects of the scenario in addition to the instrument's errors, with distributions of their parameters."""
         return self.distributions.effects
 
     @cached_property
@@ -147,6 +146,7 @@ class TrueNetwork:
         return cache[effects]
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
+        """Change of the readings per unit of each effect parameter, (pointings, 3, effect parameters, 1)."""
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
 
     @cached_property
@@ -156,7 +156,7 @@ class TrueNetwork:
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, parameters_by_reflector: Mapping[str, Floats]) -> Floats:
-        """Range errors (pointings, trials) [m] of the pointings by the incidence angles at the reflectors.
+        """Range errors (pointings, trials) [m] that depend on the incidence angles at the reflectors.
 
         `parameters_by_reflector` holds the parameters (14, trials) [SI] of the effect `smr-incidence` by name of the
         reflector.
@@ -171,12 +171,12 @@ class TrueNetwork:
         return range_errors
 
     @cached_property
-    def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainProgram, Floats]]]:
-        """Kinematic chain and design matrix of each geometric error model for which they were computed."""
+    def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainArrays, Floats]]]:
+        """Kinematic chain and derivatives of each geometric error model for which they were computed."""
         return []
 
-    def kinematic_chain_and_reading_derivatives(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain, and derivative (pointings, 3, parameters) of readings, at the nominal readings."""
+    def kinematic_chain_and_reading_derivatives(self, construction: GeometricErrorModel) -> tuple[ChainArrays, Floats]:
+        """Kinematic chain, and derivative (pointings, 3, parameters) of the readings, at the nominal readings."""
         for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
                 return chain
@@ -185,12 +185,12 @@ class TrueNetwork:
 
     def _compute_kinematic_chain_and_reading_derivatives(
         self, construction: GeometricErrorModel
-    ) -> tuple[ChainProgram, Floats]:
+    ) -> tuple[ChainArrays, Floats]:
         nominal_readings = self.recording.readings
         by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
-        return ChainProgram.from_construction(construction, nominal_readings), by_value
+        return ChainArrays.from_construction(construction, nominal_readings), by_value
 
-    def chain_program(self, construction: GeometricErrorModel) -> ChainProgram:
+    def kinematic_chain(self, construction: GeometricErrorModel) -> ChainArrays:
         """Kinematic chain of a geometric error model, linearised at the nominal readings."""
         return self.kinematic_chain_and_reading_derivatives(construction)[0]
 
@@ -203,7 +203,7 @@ class TrueNetwork:
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
-        """Change of the readings by an effect as a linear function of its parameters; None for a nonlinear effect.
+        """Change of the readings by one effect as a linear function of its parameters; None for a nonlinear effect.
 
         The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
         """
@@ -224,21 +224,21 @@ class TrueNetwork:
         )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Batch of `n_trials` drawn trials; its first trial has the number `batch_number` times `n_trials`."""
+        """Batch of `n_trials` drawn trials; the number of its first trial is `batch_number` times `n_trials`."""
         return self.draw_trials(StandardNormalSource(seed, n_trials * batch_number + np.arange(n_trials)))
 
     def draw_trials(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialBatch:
-        """Batch of the trials whose numbers `normal_source` contains.
+        """Batch of the trials for which `normal_source` generates random numbers.
 
-        `instrument_values` (instruments, parameters, trials) [SI] replaces the drawn errors of the instruments. Another
-        `stream_key` gives the same trials independent noise, for a second measurement.
+        `instrument_values` (instruments, parameters, trials) [SI], if given, replaces the drawn errors of the
+        instruments. Another `stream_key` gives the same trials independent noise, for a second measurement.
         """
         draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
-        return self.batch_from_draw(draw, self._exact_deviations(draw.instrument_values))
+        return self.batch_from_draw(draw, self._exact_reading_deviations(draw.instrument_values))
 
-    def batch_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
+    def batch_from_draw(self, draw: DrawnTrialValues, reading_deviations: Floats) -> TrialBatch:
         """Batch of trials from drawn random values: readings, reference lengths and true parameters.
 
         `reading_deviations` (pointings, 3, trials) are exact minus nominal readings; the noise is added to this array
@@ -257,8 +257,8 @@ class TrueNetwork:
             draw.trial_numbers, draw.instrument_values, draw.effect_values, reading_deviations, length_errors
         )
 
-    def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
-        """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, from the simulator."""
+    def _deviations_with_blunders(self, draw: DrawnTrialValues) -> Floats:
+        """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, computed by the simulator."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trial_numbers)):
@@ -267,12 +267,12 @@ class TrueNetwork:
                 simulate_readings(self.geometry, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])
                 - nominal
             )
-            gap[:, 1] -= FULL_TURN * np.round(gap[:, 1] / FULL_TURN) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN)
+            gap[:, 1] -= FULL_TURN_RAD * np.round(gap[:, 1] / FULL_TURN_RAD) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN_RAD)
             parts.append(np.where(self.is_recorded_observable, gap, 0.0))
         return np.stack(parts, axis=2)
 
-    def _exact_deviations(self, true_parameters: Floats) -> Floats:
-        """Exact minus nominal readings (pointings, 3, trials) for true parameters [SI] of the instruments.
+    def _exact_reading_deviations(self, true_parameters: Floats) -> Floats:
+        """Exact minus nominal readings (pointings, 3, trials) for the true parameters [SI] of the instruments.
 
         Newton's method starts from the linear change of the readings.
         """
@@ -309,7 +309,7 @@ class TrueNetwork:
     def trial_readings(self, trial_batch: TrialBatch, trial: int) -> Floats:
         """Readings (pointings, 3) [m, rad, rad] of one trial of a batch, with azimuths within +-180 degrees."""
         readings: Floats = self.recording.readings + trial_batch.reading_deviations[:, :, trial]
-        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
+        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN_RAD, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.is_recorded_observable] = np.nan
         return readings
 
@@ -324,8 +324,8 @@ def make_true_network(
     """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
     `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_network`
-    is another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
-    `planned_layout` is the planned layout, if it was computed before.
+    is another geometry of the same scenario; its set-up is used if the same targets are visible. `planned_layout` is
+    the planned layout, if it was computed before.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
@@ -344,14 +344,14 @@ def make_true_network(
         there = replace(reference_network.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.ideal_raw_readings, notes=geometry.hidden_pair_notes),
-            _state_in_start_frame(geometry, there.instrument_means),
+            _state_in_start_frame(geometry, there.instrument_error_means),
         )
         return replace(reference_network, recording=nominal, state=state, distributions=there, geometry=geometry)
     recording = error_free_recording(geometry)
     population = trial_distributions(geometry, recording)
     return TrueNetwork(
         recording=recording,
-        state=_state_in_start_frame(geometry, population.instrument_means),
+        state=_state_in_start_frame(geometry, population.instrument_error_means),
         distributions=population,
         resolution=instrument_resolutions(scenario),
         is_recorded_observable=np.isin(OBSERVABLES, [*next(iter(read))]),
@@ -360,7 +360,7 @@ def make_true_network(
 
 
 def _state_in_start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
-    """True stations and targets, in the frame of the first station or, if levels define the vertical, of the hall.
+    """True stations and targets, in the frame of the first station, or of the hall if levels define the vertical.
 
     `mean_parameters` [SI] are the means of the true instrument parameters.
     """

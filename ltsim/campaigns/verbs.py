@@ -1,4 +1,4 @@
-"""Public function `campaign`: many trials for each combination of factor levels."""
+"""Public function `campaign`: many simulated trials for each combination of factor levels."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ltsim.campaigns import require_packages
-from ltsim.core.arguments import check_mapping, path_argument, path_of_file_or_built_in
+from ltsim.campaigns import require_campaign_packages
+from ltsim.core.arguments import check_mapping_argument, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,18 +76,18 @@ def campaign(
         method  trials  failed_trials
     0  network      64              0
     """
-    require_packages()
+    require_campaign_packages()
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
-    from ltsim.campaigns.store import MANIFEST_FILE
+    from ltsim.campaigns.store import MANIFEST_FILE_NAME
 
     workers = WorkerSettings(jobs, backend, scheduler)
-    check_mapping("changes", changes)
+    check_mapping_argument("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
         raise InputError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else path_of_file_or_built_in(source)
-    is_finished = tables is None and (path / MANIFEST_FILE).is_file()
+    is_finished = tables is None and (path / MANIFEST_FILE_NAME).is_file()
     if is_finished and out is None and not (resume or force or changes):
         return CampaignResults(path)
     folder = rows_folder(path, out)

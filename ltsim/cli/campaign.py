@@ -12,11 +12,11 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
-from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
+from ltsim.core.arguments import argument_bounds_text, bounded_number_parser, path_of_file_or_built_in
 from ltsim.core.errors import InputError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -70,7 +70,7 @@ def campaign(
         return 0
     if file is None:
         raise InputError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
-    require_packages()
+    require_campaign_packages()
     # Slow imports, which no other command should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
@@ -130,8 +130,8 @@ RecoverJobsOption = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded_parser("jobs"),
-        metavar=f"NUMBER: {bounds_text('jobs')}",
+        parser=bounded_number_parser("jobs"),
+        metavar=f"NUMBER: {argument_bounds_text('jobs')}",
         help="Number of processes; default: one per core, or a single one if the trials are few.",
     ),
 ]

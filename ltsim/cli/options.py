@@ -19,13 +19,13 @@ from ltsim.cli.output_checks import OutputKind, check_outputs
 from ltsim.cli.terminal import Terminal, is_output_closed
 from ltsim.core.arguments import (
     ARGUMENT_BOUNDS,
-    MAPPING_SYNTAX,
-    MAX_MAPPING_VALUE_MAGNITUDE,
-    bounded_parser,
-    bounds_text,
-    check_choice,
+    MAPPING_ARGUMENT_SYNTAX,
+    MAX_MAPPING_ARGUMENT_MAGNITUDE,
+    argument_bounds_text,
+    bounded_number_parser,
+    check_argument_choice,
 )
-from ltsim.core.errors import FLAG_SPELLINGS, InputError, RecordError
+from ltsim.core.errors import FLAG_BY_ARGUMENT_NAME, InputError, RecordError
 
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
@@ -41,8 +41,8 @@ JobsOption = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded_parser("jobs"),
-        metavar=f"NUMBER: {bounds_text('jobs')}",
+        parser=bounded_number_parser("jobs"),
+        metavar=f"NUMBER: {argument_bounds_text('jobs')}",
         help="Number of processes; the result does not depend on it.",
     ),
 ]
@@ -230,7 +230,7 @@ PLACEHOLDERS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "cal
 def _parse_number(text: str) -> float:
     """Number from a text; raises ValueError if it is not finite or too large."""
     value = float(text)
-    if not abs(value) <= MAX_MAPPING_VALUE_MAGNITUDE:
+    if not abs(value) <= MAX_MAPPING_ARGUMENT_MAGNITUDE:
         raise ValueError
     return value
 
@@ -271,7 +271,7 @@ class FunctionOption:
     @property
     def flag(self) -> str:
         """Flag on the command line, such as `--noise-from-data`."""
-        return FLAG_SPELLINGS.get(self.name, "--" + self.name.replace("_", "-"))
+        return FLAG_BY_ARGUMENT_NAME.get(self.name, "--" + self.name.replace("_", "-"))
 
     @property
     def is_repeatable(self) -> bool:
@@ -297,14 +297,14 @@ class FunctionOption:
         elif self.is_name_list:
             metavar = "NAME,..."
         elif self.name in ARGUMENT_BOUNDS:
-            metavar = f"NUMBER: {bounds_text(self.name)}"
+            metavar = f"NUMBER: {argument_bounds_text(self.name)}"
         elif metavar is None:
             metavar = "FILE" if "Path" in self.annotation else "NAME" if kind is str else "N"
         default = self.default
         if self.is_repeatable or default is None or default == ():
             kind, default = (list[str] if self.is_repeatable else kind) | None, None
         completion = (lambda: self.choices) if self.choices else None
-        parser = bounded_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
+        parser = bounded_number_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
         option = typer.Option(*flags, help=self.help, metavar=metavar, autocompletion=completion, parser=parser)
         return _keyword_parameter(self.name, Annotated[kind, option], default)
 
@@ -313,7 +313,7 @@ class FunctionOption:
         if command_line_value is None or command_line_value == []:
             return self.default
         if self.choices:
-            check_choice(self.name, command_line_value, self.choices)
+            check_argument_choice(self.name, command_line_value, self.choices)
         if self.name in MAPPING_OPTIONS:
             return dict(self._parse_pair(text) for text in command_line_value)
         if self.is_name_list:
@@ -327,7 +327,7 @@ class FunctionOption:
         with suppress(ValueError):
             if key and value:
                 return key, parse(value)
-        raise InputError(f"{self.flag} {text}: expected {MAPPING_SYNTAX[self.name]}")
+        raise InputError(f"{self.flag} {text}: expected {MAPPING_ARGUMENT_SYNTAX[self.name]}")
 
 
 def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:

@@ -25,8 +25,8 @@ from ltsim.core.notation import names_text
 from ltsim.core.storage import (
     check_writable,
     complete_interrupted_moves,
-    is_device,
-    is_unmodified,
+    is_device_or_pipe,
+    is_unmodified_since_written,
     open_for_reading,
     path_in_folder,
     read_whole_file,
@@ -64,7 +64,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: boo
     for name, path, output in outputs:
         output.check(path, force)
         real_path = os.path.realpath(path)
-        if real_path in option_by_path and not is_device(path):
+        if real_path in option_by_path and not is_device_or_pipe(path):
             raise InputError(f"{option_by_path[real_path]} and {name} both name {path}; choose different paths")
         option_by_path[real_path] = name
     for real_path, name in option_by_path.items():
@@ -182,7 +182,7 @@ def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOut
 
     Raises RecordError if the output exists with other content.
     """
-    if not os.path.lexists(path) or is_device(path):
+    if not os.path.lexists(path) or is_device_or_pipe(path):
         return None
     with TemporaryDirectory() as temporary_folder:
         copy = Path(temporary_folder) / path.name
@@ -223,9 +223,9 @@ def check_new_file(file: Path, force: bool) -> None:
     Raises RecordError.
     """
     check_writable(file, is_folder=False)
-    if force or not os.path.lexists(file) or is_device(file):
+    if force or not os.path.lexists(file) or is_device_or_pipe(file):
         return
-    if file.is_file() and is_unmodified(file):
+    if file.is_file() and is_unmodified_since_written(file):
         return
     if file.is_file() and file.suffix == ".html":
         with open_for_reading(file) as stream:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
@@ -197,7 +197,7 @@ def _run_injection_curve(
         detection_curve = lt.injection_curve(recording, effect_specification, **options)
     table = detection_curve.table()
     terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
-    terminal.print_text(detection_curve._lines()[0])
+    terminal.print_text(detection_curve._summary_lines()[0])
     terminal.print_text(table.text())
     if file is not None:
         write_text(file, table.csv_text())
@@ -243,7 +243,7 @@ def demo(
 
     Example: ltsim demo --out ltsim-demo
     """
-    require_packages()
+    require_campaign_packages()
     for name, output_rule in DEMO_OUTPUTS.items():
         path_in_folder(out, name)
         output_rule.check(out / name, True)

@@ -137,9 +137,9 @@ class Terminal:
 
     def print_note_on_compilation(self) -> None:
         """Output of a note that the campaign solver will be compiled first, if it is not compiled yet."""
-        from ltsim.campaigns.kernels import is_compiled  # slow to import
+        from ltsim.campaigns.kernels import has_cached_machine_code  # slow to import
 
-        if not is_compiled():
+        if not has_cached_machine_code():
             self.print_note("First campaign on this machine: compiling the solver takes about 10 s.")
 
     def print_notes(self, notes: Iterable[str]) -> None:

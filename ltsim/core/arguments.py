@@ -16,36 +16,36 @@ ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
     "jobs": (1, MAX_JOBS), "level": (1e-3, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
     "every": (1, 10**6),
 }  # fmt: skip
-"""Smallest and largest permitted value of each argument by its name; None means no upper bound.
+"""Permitted range of each numeric argument by its name: smallest and largest value, None for no upper bound.
 
 If the smallest value is an integer, only whole numbers are permitted."""
 STATION_POSITION_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
-"""Syntax of a station with its new position, for messages and help."""
+"""Syntax of an argument that moves a station to a new position, for messages and help."""
 
 
-MAPPING_SYNTAX = {
+MAPPING_ARGUMENT_SYNTAX = {
     "hold": "NAME=VALUE with a number, e.g. beam-tilt=2.5",
     "tolerance": "NAME=QUANTITY, such as beam-tilt='2 urad'",
     "changes": "KEY=VALUE, such as work.faces=2",
     "move": STATION_POSITION_SYNTAX,
 }
-"""Syntax of the arguments that are mappings, by the name of the argument, for messages and help."""
-MAX_MAPPING_VALUE_MAGNITUDE = 1e12
-"""Largest absolute value of a number in an argument that is a mapping, `NAME=NUMBER`."""
+"""Syntax of each argument that is a mapping (`NAME=VALUE`), by the name of the argument, for messages and help."""
+MAX_MAPPING_ARGUMENT_MAGNITUDE = 1e12
+"""Largest absolute value of a number in an argument of the form `NAME=NUMBER`."""
 
 
-def bounds_text(argument_name: str) -> str:
-    """Range of an argument as text: `0 or more`, `1 to 256`."""
+def argument_bounds_text(argument_name: str) -> str:
+    """Text of the permitted range of an argument: `0 or more`, `1 to 256`."""
     low, high = ARGUMENT_BOUNDS[argument_name]
     number_format = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number_format}}"
 
 
-def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
+def check_argument_bounds(*, required_argument: str = "", **argument_values: object) -> None:
     """Check of numeric arguments, given by name, against `ARGUMENT_BOUNDS`; raises InputError for a value out of range.
 
-    None stands for an argument that was not given. It is an error only for arguments in `required_argument`, which is a
-    text of names separated by blanks.
+    The value None stands for an argument that was not given. It is an error only for the arguments that
+    `required_argument` names (a text of names separated by blanks).
     """
     for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
@@ -54,10 +54,10 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
         if not (good or (value is None and name not in required_argument.split())):
             kind = "a whole number" if number_type is Integral else "a number"
-            raise InputError(f"{option_text(name)} is {value}, expected {kind}, {bounds_text(name)}")
+            raise InputError(f"{option_text(name)} is {value}, expected {kind}, {argument_bounds_text(name)}")
 
 
-def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
+def bounded_number_parser(argument_name: str) -> Callable[[object], int | float]:
     """Function that converts a command-line argument to a number; it raises InputError for a number out of range."""
     kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
@@ -69,31 +69,33 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
             except ValueError:
                 value = text
         value_by_name: dict[str, Any] = {argument_name: value}
-        check_bounds(**value_by_name)
+        check_argument_bounds(**value_by_name)
         return value  # type: ignore[return-value]
 
     return parse_bounded
 
 
-def check_choice(
+def check_argument_choice(
     argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
 ) -> None:
-    """Check that an argument is one of its permitted values (or None with `allow_none`); InputError otherwise."""
+    """Check that an argument is one of `choices` (or None with `allow_none`); raises InputError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
         raise InputError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
-def check_mapping(argument_name: str, argument_value: object) -> None:
+def check_mapping_argument(argument_name: str, argument_value: object) -> None:
     """Check that an argument is a mapping with names as keys, or None; raises InputError otherwise."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
         raise InputError(f"{option_text(argument_name)} is {argument_value}, expected a mapping")
     for key, value in (argument_value or {}).items():
         if not isinstance(key, str) or not key.strip():
-            raise InputError(f"{option_text(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
+            raise InputError(
+                f"{option_text(argument_name)} {key}={value}: expected {MAPPING_ARGUMENT_SYNTAX[argument_name]}"
+            )
 
 
 def path_of_file_or_built_in(path_or_name: object) -> Path:
-    """Path of a file or folder that a user gives, or the name of something built in, such as a scenario, as a path.
+    """Path made from an argument of the user: path of a file or folder, or a built-in name such as `paper-workshop`.
 
     Raises InputError for an empty text, and for an object that is neither text nor path.
     """
@@ -104,7 +106,7 @@ def path_of_file_or_built_in(path_or_name: object) -> Path:
 
 
 def path_argument(argument_name: str, path: object) -> Path:
-    """Path in an argument; raises InputError for an object that is neither text nor path."""
+    """Path made from the argument `argument_name`; raises InputError for an object that is neither text nor path."""
     if (text := _path_text(path)) is None:
         raise InputError(f"{option_text(argument_name)} is {path!r}, expected a path")
     return Path(text)

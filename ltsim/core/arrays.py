@@ -16,22 +16,23 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 """Array of booleans."""
 MAX_TEMPORARY_ENTRIES = 2_000_000
-"""Largest number of entries of a temporary array that is allocated as a whole, 16 MB. Larger arrays are computed in
-batches, so that memory does not grow with the recording; batches of fewer entries would take longer, because each needs
-separate function calls."""
+"""Largest number of entries (8 bytes each) of a temporary array. Larger arrays are computed in batches, so that the
+memory does not grow with the recording. Smaller batches would need more function calls and thus more time."""
 MAX_MATRIX_ENTRIES = 100_000_000
-"""Largest number of entries, 0.8 GB, of a matrix that is allocated as a whole; methods that need a larger one are
-refused."""
+"""Largest number of entries of a matrix in memory, 0.8 GB. A method that would need a larger matrix raises an error."""
 
 
 def batches(n_items: int, n_entries_per_item: int) -> Iterator[slice]:
-    """Slices that divide `n_items` into batches of at most `MAX_TEMPORARY_ENTRIES` array entries, or of one item."""
+    """Slices that divide `n_items` items into batches of at most `MAX_TEMPORARY_ENTRIES` array entries.
+
+    A batch contains at least one item.
+    """
     step = max(1, MAX_TEMPORARY_ENTRIES // max(n_entries_per_item, 1))
     return (slice(first, min(first + step, n_items)) for first in range(0, n_items, step))
 
 
 def stack_columns(*columns: Floats) -> Floats:
-    """Array (rows, arrays, ...) that joins arrays of shape (rows, ...) along a new second axis.
+    """Array (rows, columns, ...) that joins arrays of shape (rows, ...) along a new second axis.
 
     The function is three times as fast as `np.stack` for a hundred rows.
     """
@@ -54,9 +55,9 @@ def stack_and_release(row_arrays: list[Floats32]) -> Floats32:
 
 
 def median(values: Floats) -> float:
-    """Median of all entries of `values`, which is not empty; NaN if an entry is NaN.
+    """Median of all entries of the non-empty array `values`; NaN if an entry is NaN.
 
-    It is ten times as fast as `np.median` for a hundred entries.
+    The function is ten times as fast as `np.median` for a hundred entries.
     """
     sorted_values = np.sort(values, axis=None)
     middle_index = len(sorted_values) // 2
@@ -68,9 +69,9 @@ def median(values: Floats) -> float:
 
 
 def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
-    """Pairs of a key and the row indices with this key, in ascending order of the distinct keys.
+    """Pairs of a key and the indices of the rows that have this key, in ascending order of the keys.
 
-    `keys` (rows,) has the key of each row of a table; `rows` (selected rows,) are the indices of the rows that are
+    `keys` (rows,) holds the key of each row of a table. Only the rows with the indices `rows` (selected rows,) are
     grouped.
     """
     order = rows[np.argsort(keys[rows], kind="stable")]
@@ -79,10 +80,10 @@ def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
         yield int(key), group
 
 
-def as_floats(values: ArrayLike, shape: tuple[int, ...], argument_name: str) -> Floats:
-    """`values` as a finite float array of `shape`, in which -1 stands for any length.
+def as_finite_floats(values: ArrayLike, shape: tuple[int, ...], argument_name: str) -> Floats:
+    """Float array with the entries of `values` and the shape `shape`, in which -1 stands for any length.
 
-    Raises ModelError when the shape differs or a value is not finite; the message names the array.
+    ModelError, which names the argument, is raised if the shape differs or a value is not finite.
     """
     array = np.asarray(values, dtype=np.float64)
     has_shape = array.ndim == len(shape) and all(

@@ -1,6 +1,6 @@
-"""Comparison of results by value, including their arrays.
+"""Equality of results by value, including their arrays.
 
-ltsim reads results from files only through pydantic models of these files. No function of ltsim reads a `pickle`.
+Results are read from files only through pydantic models; no function of ltsim reads a `pickle`.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from pydantic import BaseModel
 class ValueEquality:
     """Base class of data classes that are compared by value, including their arrays.
 
-    The generated `__eq__` of data classes compares tuples of fields, which fails for arrays.
+    The `__eq__` that Python generates for data classes compares tuples of fields, which fails for arrays.
     """
 
     def __init_subclass__(cls, **class_options: Any) -> None:
@@ -62,10 +62,7 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
 
 
 def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
-    """Tuple with the content of a sparse matrix or of an ltsim object with `__reduce__`, for `equal_values`.
-
-    The result is None for all other objects.
-    """
+    """Tuple with the content of a sparse matrix, or of an ltsim object that defines `__reduce__`; None for others."""
     kind = type(compared_object)
     if kind.__module__.startswith("scipy.sparse"):
         compressed = compared_object.tocsr()
@@ -76,6 +73,7 @@ def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
 
 
 def _equal_arrays(first_array: Any, second_array: Any) -> bool:
+    """True if two arrays have the same shape, type and values; NaN equals NaN."""
     if not (isinstance(first_array, np.ndarray) and isinstance(second_array, np.ndarray)):
         return False
     return first_array.dtype == second_array.dtype and np.array_equal(

@@ -29,7 +29,7 @@ class RecordError(LtsimError):
     message : str
         Invalid value, and the expected value.
     file, row, column
-        Location of the value, as far as it is known; `row` counts data rows from 1 (the header is row 0).
+        Location of the value, None where it is unknown; `row` counts data rows from 1 (the header is row 0).
     """
 
     def __init__(
@@ -52,8 +52,8 @@ class InputError(LtsimError):
 
 
 @contextmanager
-def as_input_error(error_location: str = "") -> Iterator[None]:
-    """Context in which RecordError, InputError and ModelError become InputError, with `error_location` as prefix."""
+def reraise_as_input_error(error_location: str = "") -> Iterator[None]:
+    """Context that converts RecordError, InputError and ModelError to InputError, with `error_location` as prefix."""
     try:
         yield
     except (RecordError, InputError, ModelError) as problem:
@@ -85,7 +85,7 @@ class CalibratorError(LtsimError):
 
 
 class ConvergenceError(LtsimError):
-    """Error for an iteration that did not converge; the attribute `solution` holds the state after the last step."""
+    """Error for an iteration that did not converge; its attribute `solution` is the `Solution` after the last step."""
 
     def __init__(self, message: str, solution: object) -> None:
         self.solution = solution
@@ -95,12 +95,13 @@ class ConvergenceError(LtsimError):
 MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that a message quotes in full; longer names are shortened."""
 _OPTION_SPELLING_SWITCH = {"flags": False}
-"""Switch of the spelling of options in messages: command-line flags if true, Python arguments if false."""
-FLAG_SPELLINGS = {
+"""Switch of the spelling of options in messages: command-line flags (`--jobs`) if true, Python arguments (`jobs`) if
+false."""
+FLAG_BY_ARGUMENT_NAME = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
     "calibrate=False": "--no-calibrate",
 }  # fmt: skip
-"""Command-line spelling of the options that are not named like their Python parameter."""
+"""Command-line flag of each Python argument whose flag has another name."""
 
 
 @contextmanager
@@ -117,22 +118,29 @@ def option_text(argument_name: str) -> str:
     """Name of an option as the user writes it: `resume=True` in Python, `--resume` on the command line."""
     if not _OPTION_SPELLING_SWITCH["flags"]:
         return argument_name
-    return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
+    return FLAG_BY_ARGUMENT_NAME.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
 
 def missing_extra_error(feature_name: str, extra_name: str) -> InputError:
-    """InputError with the command that installs the optional extra `extra_name`, which `feature_name` needs."""
+    """InputError for a feature that needs the optional dependencies `extra_name`, with the command that installs them.
+
+    `feature_name` is the subject of the message, in the plural.
+    """
     return InputError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
 def require_extra(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
-    """Check that `package_names` are installed; InputError with the command that installs the extra `extra_name`."""
+    """Check that `package_names` are installed; otherwise InputError with the command that installs `extra_name`.
+
+    `extra_name` is the group of optional dependencies that contains the packages, `feature_name` the feature that needs
+    it.
+    """
     if not all(is_installed(name) for name in package_names):
         raise missing_extra_error(feature_name, extra_name)
 
 
 def is_installed(package_name: str) -> bool:
-    """True if a package can be imported."""
+    """True if a package is installed, so that it can be imported."""
     try:
         return find_spec(package_name) is not None
     except ValueError:  # it was hidden from this process

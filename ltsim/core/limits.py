@@ -1,8 +1,8 @@
 """Size limits of input files and networks, checked before memory is allocated for their content.
 
-Together they keep the reading of any file of up to 32 MiB within 500 MB of memory and 30 s of processor time
-(`tests/recordings/test_limits.py` measures both at the limits of TOML, XML and JSON). A monitoring of 100,000 pointings
-is read; before it is adjusted it must be thinned (`ltsim convert --every`).
+With these limits, reading a file of up to 32 MiB takes at most 500 MB of memory and 30 s of processor time
+(`tests/recordings/test_limits.py` measures both at the limits of TOML, XML and JSON). A monitoring recording of 100,000
+pointings can be read, but has to be thinned before its adjustment (`ltsim convert --every`).
 """
 
 import os
@@ -14,61 +14,59 @@ BYTES_PER_MIB = 1024 * 1024
 """Number of bytes of a mebibyte."""
 
 MAX_FILE_BYTES = 32 * BYTES_PER_MIB
-"""Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
+"""Largest size [bytes] of an input file. A table of 500,000 pointings has 25 MiB."""
 MAX_TEXT_LINES = 500_000
-"""Largest number of lines of a text file, or of rows of all sheets of a workbook together; a pointing takes 600 bytes
-while it is read.
-"""
+"""Largest number of lines of a text file, and of rows of all sheets of a workbook together. A pointing takes 600 bytes
+while it is read."""
 MAX_LGC_LINES = 200_000
 """Largest number of lines of an LGC file; a line with a polar observation takes 1.9 kB while it is read."""
 MAX_FIELD_BOOK_POINTINGS = 300_000
 """Largest number of pointings in a field book of a total station; a pointing takes 1.3 kB while it is read."""
 MAX_LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line: a header of `MAX_ROW_FIELDS` names with 40 characters each."""
-MAX_ROW_FIELDS = 500
+"""Largest number of characters in a line of a file, enough for a header of `MAX_TABLE_COLUMNS` names with 40 characters
+each."""
+MAX_TABLE_COLUMNS = 500
 """Largest number of columns in a table."""
 MAX_TABLE_HEADERS = 10_000
-"""Largest number of header lines in a table that repeats its header for each set-up or page; the rows between two
-headers are converted together, in a millisecond.
-"""
+"""Largest number of header lines in a table that repeats its header for each set-up or page. The rows after each header
+are converted together, which takes a millisecond."""
 MAX_WORKBOOK_CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
 MAX_ADJUSTED_POINTINGS = 50_000
-"""Largest number of pointings of a network that is adjusted or checked. A pointing takes 4 to 7 kB and 0.5 ms; the
-libraries take 130 MB, or 480 MB with pictures."""
+"""Largest number of pointings of a network that is adjusted or checked. A pointing takes 4 to 7 kB and 0.5 ms. The
+imported libraries take 130 MB, or 480 MB with pictures."""
 MAX_CALIBRATED_POINTINGS = 30_000
-"""Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
-networks up to three times as large."""
+"""Largest number of pointings of a network that is calibrated. It is smaller than `MAX_ADJUSTED_POINTINGS`, because
+proposals for further measurements are evaluated on networks up to three times as large."""
 MAX_ADJUSTED_TARGETS = 6_000
-"""Largest number of targets of a network that is adjusted or checked; time and memory grow with its square. An
-adjustment of two set-ups takes 19 s and 436 MB with 6,000 targets, and 44 s and 970 MB with 10,000. The largest
-measured networks have 1,000 targets.
-"""
+"""Largest number of targets of a network that is adjusted or checked; time and memory grow with the square of this
+number. An adjustment of two set-ups takes 19 s and 436 MB with 6,000 targets, and 44 s and 970 MB with 10,000. The
+largest measured networks have 1,000 targets."""
 MAX_CALIBRATED_TARGETS = 2_500
-"""Largest number of targets of a network that is calibrated; 2,500 take 9 s and 400 MB, 10,000 take 104 s and 4.2 GB.
-"""
+"""Largest number of targets of a network that is calibrated. A calibration with 2,500 targets takes 9 s and 400 MB,
+with 10,000 targets 104 s and 4.2 GB."""
 MAX_DIAGNOSED_TARGETS = 1_500
-"""Largest number of targets of a network that is diagnosed; 1,500 take 60 s and 0.8 GB, 3,000 take 148 s and 2.1 GB."""
+"""Largest number of targets of a network that is diagnosed. A diagnosis with 1,500 targets takes 60 s and 0.8 GB, with
+3,000 targets 148 s and 2.1 GB."""
 MAX_NETWORK_SETUPS = 500
-"""Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed. Masks of all pairs of a
-set-up and a target are in memory, and set-ups are compared in pairs. The largest measured networks have hundreds of
-set-ups.
-"""
+"""Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed. Memory and time grow with
+the number of pairs of set-up and target, and of pairs of set-ups. The largest measured networks have hundreds of
+set-ups."""
 MAX_DIAGNOSED_POINTINGS = 8_000
 """Largest number of pointings of a network that is diagnosed. The diagnosis of a misfit takes 24 s of processor time
-and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 210 set-ups (3,360 pointings), and 115 s
-and 0.85 GB with 8,000 (measured while other processes ran)."""
+and 310 MB with 2,000 pointings, and 115 s and 0.85 GB with 8,000. A ring of 210 set-ups (3,360 pointings) takes 30 to
+95 s and 450 to 530 MB. Other processes ran during these measurements."""
 MAX_SIMULATED_POINTINGS = 300_000
 """Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
 MAX_CAMPAIGN_POINTINGS = 15_000
-"""Largest number of pointings of a network of a campaign. Libraries take 400 MB; a pointing takes 6 kB, most of it in
-the derivatives of its readings and in the full solver that verifies a trial."""
+"""Largest number of pointings of a network of a campaign. A pointing takes 6 kB, most of it for the derivatives of its
+readings and for the full solver, which repeats some trials for verification. The imported libraries take 400 MB."""
 MAX_CAMPAIGN_UNKNOWNS = 2_000
-"""Largest number of coordinates and angles of stations and targets of a network of a campaign: six for each station and
-three for each target. Three matrices of this size take 100 MB."""
+"""Largest number of unknowns of a network in a campaign: six for each station and three for each target. Three matrices
+of this size take 100 MB."""
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
-"""Environment variable with a larger limit of the numbers of pointings, set-ups and targets for all commands, for
+"""Name of the environment variable that raises the limits of pointings, set-ups and targets for all commands, on
 machines with more memory."""
 
 MAX_TOML_BYTES = 8 * BYTES_PER_MIB
@@ -78,48 +76,41 @@ MAX_TOML_DEPTH = 32
 memory of the parser grow with the square of the depth.
 """
 MAX_TOML_KEYS = 100_000
-"""Largest number of keys and table headers in a TOML file; each part of a dotted key counts. It corresponds to 20,000
-points with five keys each. A table takes 2 kB.
-"""
+"""Largest number of keys and table headers in a TOML file; each part of a dotted key counts. The limit permits 20,000
+points with five keys each. A table takes 2 kB of memory."""
 MAX_TOML_WORD_CHARACTERS = 1_000
 """Largest number of characters of a key without quotes, a number or a date in a TOML file; the longest number that is
 read has 40. The parser takes 130 bytes for each digit of a number.
 """
 MAX_TOML_VALUES = 400_000
-"""Largest number of keys, tables, arrays and commas in a TOML file. It corresponds to 20,000 points with three
-coordinates and a covariance matrix each.
-"""
+"""Largest number of keys, tables, arrays and commas in a TOML file. The limit permits 20,000 points with three
+coordinates and a covariance matrix each."""
 
 MAX_JSON_VALUES = 1_500_000
-"""Largest number of commas and opening brackets in a JSON file, an upper bound of the number of values. An empty
-object with its comma has three characters in the file and takes 64 bytes of memory.
-"""
+"""Largest number of commas and opening brackets in a JSON file, which is an upper bound of the number of values. An
+empty object with its comma has three characters and takes 64 bytes of memory."""
 
 MAX_RESULT_LIST_ENTRIES = 10_000
-"""Largest number of entries in a list of a result file. Result files have an entry for each parameter, target or test;
-values of pointings are in tables. An entry takes 1 to 2 kB in a report.
-"""
+"""Largest number of entries in a list of a result file. Such lists have one entry per parameter, target or test; values
+of pointings are in tables. An entry takes 1 to 2 kB in a report."""
 
 MAX_UNCERTAINTY_TASK_RESULTS = 1_000
-"""Largest number of results of all tasks of an evaluation of uncertainty; their correlations are in its result file,
-of at most `MAX_JSON_VALUES` values. The 10,000 trials of a result take 80 kB, and four copies of them are in memory.
-"""
+"""Largest number of results of all tasks together in one evaluation of uncertainty. The result file contains the
+correlation of each pair of results and may have at most `MAX_JSON_VALUES` values. The 10,000 Monte Carlo trials of a
+result take 80 kB, and are in memory four times."""
 MAX_ADDITIONAL_EFFECTS = 200
-"""Largest number of effects of type B in an evaluation of uncertainty, and of effects that a method of a campaign
-estimates; each is linearised for all pointings. The catalogue has 60.
-"""
+"""Largest number of effects in an uncertainty budget (type B), and of effects that a calibration method of a campaign
+estimates. Each effect is linearised for all pointings. The catalogue has 60."""
 MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS = 20_000_000
-"""Largest product of the numbers of trials and of results in an evaluation of uncertainty; a trial of a result takes 16
-bytes."""
+"""Largest product of the number of Monte Carlo trials and the number of results in an evaluation of uncertainty. One
+trial of one result takes 16 bytes."""
 
 MAX_READ_SHARD_ROWS = 1_000_000
-"""Largest number of rows in a file of rows (shard) that is read; a campaign writes at most 65,536. Equal rows take no
-space in the file, and 200 bytes each in memory.
-"""
+"""Largest number of rows in a file of campaign rows (shard) that is read; a campaign writes at most 65,536. Equal rows
+take no space in the file, and 200 bytes each in memory."""
 MAX_DATABASE_MEMORY_BYTES = 250 * BYTES_PER_MIB
-"""Memory [bytes] of the database that reads the rows of a campaign; proportionally more for files of rows that together
-are larger than `MAX_FILE_BYTES`.
-"""
+"""Largest memory [bytes] of the database that reads the rows of a campaign. The limit grows in proportion to the total
+size of the files of rows if this is larger than `MAX_FILE_BYTES`."""
 
 MAX_FIGURE_ITEMS = 1_000
 """Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB. A reader cannot
@@ -162,30 +153,27 @@ MAX_WORKBOOK_SHEETS = 200
 MAX_CAD_BYTES = 512 * BYTES_PER_MIB
 """Largest size [bytes] of a CAD file."""
 MAX_CAD_MEMORY_BYTES = 250 * BYTES_PER_MIB
-"""Largest memory [bytes], beyond 125 MB of libraries, of the process that reads a CAD file; proportionally more for a
-file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
-"""
+"""Largest memory [bytes], in addition to 125 MB of libraries, of the process that reads a CAD file. The limit grows in
+proportion to the size of a file larger than `MAX_FILE_BYTES`. The process that waits for the result takes 110 MB."""
 MAX_CAD_SECONDS = 25
-"""Largest processor time [s] of the process that reads a CAD file; proportionally more for a file larger than
-`MAX_FILE_BYTES`.
-"""
+"""Largest processor time [s] of the process that reads a CAD file. The limit grows in proportion to the size of a file
+larger than `MAX_FILE_BYTES`."""
 MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
 """Largest size [bytes] of an OBJ or PLY file that is read without a separate process. A polygon with many corners takes
 360 bytes of memory for each byte of the file.
 """
 MAX_FLOOR_PLAN_ELEMENTS = 200
-"""Largest number of areas of a floor, of holes in one area, of keep-out areas and of doors; each is compared with all
-positions of tripods. A hall has tens.
-"""
+"""Largest number of floor areas, of holes in one area, of keep-out areas, and of doors, each counted separately. Each
+is compared with all positions of tripods. A hall has tens of them."""
 MAX_OBSTACLE_TRIANGLES = 200_000
 """Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it
-is read, and 1,500 in a hall where it may hide targets."""
+is read, and 1,500 bytes as part of an obstacle in a hall."""
 
 
 def overridable_limit(default_limit: int) -> int:
-    """Limit of the number of pointings, set-ups or targets: the larger of `default_limit` and the environment variable.
+    """Limit of a number of pointings, set-ups or targets: `default_limit`, or a larger limit from LTSIM_MAX_POINTINGS.
 
-    ModelError is raised if the variable is not a whole number.
+    ModelError is raised if this environment variable is not a whole number.
     """
     text = os.environ.get(POINTINGS_LIMIT_VARIABLE, "").strip()
     if text and not re.fullmatch("[0-9]{1,9}", text):

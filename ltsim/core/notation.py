@@ -14,7 +14,7 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text for a missing number, in place of `nan`."""
 MAX_LISTED_ITEMS = 6
-"""Largest number of names or numbers that a sentence lists; further ones are only counted."""
+"""Largest number of names or numbers that a sentence lists; all further ones are only counted."""
 MAX_LISTED_SENTENCES = 4
 """Largest number of sentences of one kind that are displayed; further ones are only counted."""
 MAX_SIGMA_DECIMALS = 12
@@ -34,7 +34,7 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
-    """Value and standard deviation `sigma` in `unit` as text, to the second digit of `sigma`: `1.23 +- 0.10 um`."""
+    """Text of a value and its standard deviation in `unit`, to the second digit of `sigma`: `1.23 +- 0.10 um`."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
@@ -57,7 +57,7 @@ def with_expanded_uncertainty(
 
 
 def decimals_of_sigma(sigma: float) -> int:
-    """Number of decimals that show two significant digits of a standard deviation: 2 for 0.10, and 0 from 10 on."""
+    """Number of decimals at which a standard deviation has two significant digits: 2 for 0.10, 0 for 10 and above."""
     rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
     return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_SIGMA_DECIMALS)
 
@@ -81,12 +81,12 @@ def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_
 
 
 def count_text(n_items: int, singular: str, plural: str = "") -> str:
-    """Number with noun: `1 station`, `5 stations`."""
+    """Text of a number and its noun: `1 station`, `5 stations`."""
     return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
 
 
 def names_text(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
-    """List of names as text, `a, b and 3 more`; names after the first `max_items` are only counted."""
+    """Text of a list of names, `a, b and 3 more`; names after the first `max_items` are only counted."""
     if len(names) <= max_items:
         return ", ".join(names)
     return ", ".join(names[:max_items]) + f" and {len(names) - max_items} more"

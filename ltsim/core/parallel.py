@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import WorkerError, option_text
 
 PARENT_CHECK_INTERVAL_S = 1.0
-"""Time [s] between two checks by a worker process that its parent process still exists."""
-PYTHON_SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
-"""Environment variable that keeps Python from adding the working folder to its module search path."""
+"""Time [s] between two checks of a worker process whether its parent process still exists."""
+PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE = "PYTHONSAFEPATH"
+"""Name of the environment variable that keeps the working folder off Python's module search path."""
 ReturnType = TypeVar("ReturnType")
 """Type of the result of a function that worker processes call."""
 
@@ -34,7 +34,7 @@ def run_parallel(
     receives `calls_per_batch` calls together. WorkerError is raised if a worker process ends early, InputError for
     fewer than one process.
     """
-    check_bounds(jobs=n_processes)
+    check_argument_bounds(jobs=n_processes)
     if n_processes == 1:
         yield from (function(*arguments) for arguments in argument_tuples)
         return
@@ -67,19 +67,19 @@ def _without_working_folder() -> Iterator[None]:
 
     A file `numpy.py` in the working folder would otherwise be imported in place of numpy.
     """
-    old_value = os.environ.get(PYTHON_SAFE_PATH_VARIABLE)
-    os.environ[PYTHON_SAFE_PATH_VARIABLE] = "1"
+    old_value = os.environ.get(PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE)
+    os.environ[PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE] = "1"
     try:
         yield
     finally:
         if old_value is None:
-            del os.environ[PYTHON_SAFE_PATH_VARIABLE]
+            del os.environ[PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE]
         else:
-            os.environ[PYTHON_SAFE_PATH_VARIABLE] = old_value
+            os.environ[PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE] = old_value
 
 
 def _watch_parent(parent_process_id: int) -> None:
-    """Start of a thread that ends this process as soon as its parent process no longer exists."""
+    """Start of a thread that ends this process when the process `parent_process_id` no longer exists."""
 
     def end_with_parent() -> None:
         while os.getppid() == parent_process_id:

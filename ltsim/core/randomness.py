@@ -1,7 +1,7 @@
-"""Independent streams of random numbers, each with a key that names the purpose of its draws.
+"""Independent streams of random numbers; each stream has a key that names the purpose of its random numbers.
 
-For example, ``random_stream(seed, "truth", "beam-tilt", 17)``. A draw depends only on the seed and the key. The number
-of worker processes and the list of effects therefore do not change it.
+For example, ``random_stream(seed, "truth", "beam-tilt", 17)``. A random number depends only on the seed and the key,
+and thus neither on the number of worker processes nor on the list of effects.
 """
 
 import zlib
@@ -15,14 +15,16 @@ from ltsim.core.errors import InputError
 SEED_UPPER_BOUND = 2**32
 """Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
-"""Number of consecutive trials whose random numbers come from one stream. Another value would change all draws."""
+"""Number of consecutive trials whose random numbers come from one stream. Another number would change all simulated
+values."""
 VALUES_PER_TRIAL_AND_BATCH = 4096
-"""Number of values of each trial of a stream that are drawn at a time; together they take 8 MiB."""
+"""Number of values that are drawn at a time for each of the `TRIALS_PER_STREAM` trials of a stream; those of all trials
+together take 8 MiB."""
 
 
 @lru_cache(maxsize=4096)
 def _key_checksum(key_text: str) -> int:
-    """Integer for a name in the key of a random stream: its CRC-32 checksum."""
+    """Integer in place of a name in the key of a random stream: the CRC-32 checksum of the name."""
     return zlib.crc32(key_text.encode())
 
 
@@ -90,5 +92,5 @@ def standard_normal_trials(
 
 
 def _stream_of_trials(seed: int, stream_number: int, *stream_key: str | int) -> np.random.Generator:
-    """Random generator of the stream that `TRIALS_PER_STREAM` consecutive trials share."""
+    """Random generator of stream number `stream_number`, which `TRIALS_PER_STREAM` consecutive trials share."""
     return random_stream(seed, *stream_key, "block", stream_number)

@@ -1,8 +1,7 @@
-"""Results and their tables; the columns of a table are declared once for all forms of output.
+"""Results and their tables; each column of a table is declared once for all forms of output.
 
-A `Column` has name, meaning, unit and number format. From a `Table` the CSV file, the JSON rows, the data frame, the
-text on a terminal, and the tables in notebooks and reports are made. A `Result` has a short summary, tables and a
-figure.
+A `Column` has name, meaning, unit and number format. A `Table` gives the CSV file, the JSON rows, the data frame, the
+text for a terminal, and the tables of notebooks and reports. A `Result` has a short summary, tables and a figure.
 """
 
 from __future__ import annotations
@@ -26,17 +25,18 @@ from ltsim.core.errors import ModelError, RecordError, as_printable, missing_ext
 from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
-from ltsim.core.probability import p_text
+from ltsim.core.probability import p_value_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-FORMULA_STARTS = ("=", "+", "-", "@", "'")
-"""First characters of a text that is written to CSV with an apostrophe, so that it is no spreadsheet formula."""
+FORMULA_START_CHARACTERS = ("=", "+", "-", "@", "'")
+"""Characters at the start of a text that a spreadsheet may take for a formula; the CSV file has an apostrophe before
+them."""
 MAX_RESULT_MAGNITUDE = 1e40
-"""Largest absolute value of a number in a result file; a product of seven such numbers does not overflow."""
+"""Largest absolute value of a number in a result file, so that a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
 """Largest number of rows of a table that a notebook shows."""
 ColumnKind = Literal["text", "number", "flag", "p_value"]
@@ -114,7 +114,7 @@ class Column:
         if isinstance(value, str) or self.kind == "text":
             return str(value)
         if self.kind == "p_value":
-            return p_text(value)
+            return p_value_text(value)
         if self.sigma_column:
             return with_sigma(float(value), sigma_or_uncertainty)
         if self.uncertainty_column and sigma_or_uncertainty and 0 < sigma_or_uncertainty < math.inf:
@@ -169,7 +169,7 @@ class Table(ValueEquality):
     """
 
     file: str
-    """Name of the CSV file; without its suffix, the name of the table."""
+    """Name of the CSV file of the table; without its suffix, it is the name of the table."""
     description: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()
@@ -181,7 +181,7 @@ class Table(ValueEquality):
         return cls(f"{table_name}.csv", description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
-        """Copy of the table with new rows: sequences in column order, objects with attributes, or mappings."""
+        """Copy of the table with new rows: each a sequence in column order, an object with attributes, or a mapping."""
         return replace(self, rows=tuple(self._row_values(row) for row in rows))
 
     def _row_values(self, row: Any) -> tuple[Any, ...]:
@@ -290,13 +290,13 @@ class Table(ValueEquality):
         return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
     def displayed_cells(self) -> list[list[str]]:
-        """Displayed texts of the rows, in the order of `headings`."""
+        """Displayed text of each cell, row by row, in the column order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
         pairs = [(c, c.sigma_column or c.uncertainty_column) for c in self._displayed_columns]
         return [[c.displayed_text(row[at[c.name]], row[at[p]] if p else None) for c, p in pairs] for row in self.rows]
 
     def text(self) -> str:
-        """Aligned text of the table for a terminal: text flush left, numbers flush right."""
+        """Text of the table for a terminal, with aligned columns: text flush left, numbers flush right."""
         is_text = [column.kind == "text" for column in self._displayed_columns]
         return align_columns(self.headings, self.displayed_cells(), [*is_text, False].index(False))
 
@@ -317,26 +317,26 @@ class Table(ValueEquality):
 
 
 class Result(ValueEquality):
-    """Base class of the results of public functions; a subclass defines `_lines` and `_tables`.
+    """Base class of the results of public functions; a subclass defines `_summary_lines` and `_table_makers`.
 
     Results are compared by value, including their arrays; they can be copied and pickled.
     """
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Lines of the summary of the result."""
         raise NotImplementedError
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
-        """Functions that make the tables of the result, by table name; the first is the default."""
+    def _table_makers(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
+        """Functions that make the tables of the result, by name of the table; the first table is the default."""
         return {}
 
     def __repr__(self) -> str:
-        return "\n".join(self._lines())
+        return "\n".join(self._summary_lines())
 
     def _repr_html_(self) -> str:
         """HTML of the summary and of the first rows of the default table."""
-        head = "<br>".join(escape(line) for line in self._lines())
-        return f"<p>{head}</p>" + (self.table().html_table() if self._tables() else "")
+        head = "<br>".join(escape(line) for line in self._summary_lines())
+        return f"<p>{head}</p>" + (self.table().html_table() if self._table_makers() else "")
 
     def table(self, table_name: str | None = None) -> Table:
         """Table of the result with the given name.
@@ -351,7 +351,7 @@ class Result(ValueEquality):
         ModelError
             When the result has no such table.
         """
-        tables = self._tables()
+        tables = self._table_makers()
         name = next(iter(tables), "") if table_name is None else table_name
         if name not in tables:
             kind = type(self).__name__
@@ -373,12 +373,12 @@ class Result(ValueEquality):
 
 def escape_formula(text: str) -> str:
     """Text with an apostrophe before it if a spreadsheet would interpret the text as a formula."""
-    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+    return f"'{text}" if text.startswith(FORMULA_START_CHARACTERS) else text
 
 
 def unescape_formula(text: str) -> str:
     """Text of a CSV cell without the apostrophe that `escape_formula` adds."""
-    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
+    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_START_CHARACTERS) else text
 
 
 def _column_kind(column: Sequence[Any]) -> ColumnKind:

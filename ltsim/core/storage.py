@@ -24,14 +24,15 @@ from tempfile import TemporaryFile
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import BYTES_PER_MIB
 
-FILE_MODE = 0o666
-"""Permissions of a new file, which the umask restricts further."""
+NEW_FILE_PERMISSIONS = 0o666
+"""Permissions of a new file, before the user's umask restricts them."""
 MAX_JOURNAL_BYTES = BYTES_PER_MIB
-"""Largest size [bytes] of a journal, that of 10,000 files; no command writes so many at once."""
+"""Largest size [bytes] of a journal file (list of pending renamings) that is read: the size for 10,000 files."""
 _PROCESS_TOKEN = secrets.token_hex(4)
-"""Random identifier of this process, because the operating system reuses process numbers."""
+"""Random identifier of this process in the names of its temporary files. The process number is not enough, because the
+operating system reuses it."""
 _TEMPORARY_NAME_PATTERN = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
-"""Pattern of the names of temporary files and journals; its groups are number and random identifier of the process."""
+"""Pattern of the names of temporary files and journals; its groups are process number and random process identifier."""
 
 
 def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
@@ -70,8 +71,8 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
 def write_to_device(path: Path, content: bytes) -> None:
     """Writing to a pipe or device that the user names.
 
-    OSError is raised if it cannot be written; so it is for a pipe from which no process reads, where writing would wait
-    without end.
+    OSError is raised if the device cannot be written, and for a pipe from which no process reads, because writing to it
+    would never end.
     """
     try:
         handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
@@ -86,17 +87,17 @@ def write_to_device(path: Path, content: bytes) -> None:
 
 
 def require_no_link(folder: Path, name: str) -> None:
-    """Check that a file in a folder, if it exists, is no link, neither symbolic nor hard; raises RecordError."""
+    """Check that a file in a folder, if it exists, is neither a symbolic nor a hard link; raises RecordError."""
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
         raise RecordError("has another name elsewhere (hard link); remove it, or choose another folder", file=path)
 
 
 def append_text(folder: Path, name: str, text: str) -> None:
-    """Appending of ASCII text to a file in a folder, without change of other names (hard links) of the same file.
+    """Appending of ASCII text to a file in a folder; other names (hard links) of the file keep the old content.
 
-    OSError is raised if the file cannot be written, and RecordError for a link that leads out of the folder and for a
-    pipe or device.
+    OSError is raised if the file cannot be written. RecordError is raised for a link that leads out of the folder, and
+    for a pipe or device.
     """
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
@@ -108,7 +109,8 @@ def append_text(folder: Path, name: str, text: str) -> None:
 def open_for_reading(path: Path) -> BufferedReader:
     """File, opened for reading in binary mode.
 
-    OSError is raised if it cannot be opened, and for a folder, a pipe or a device, from which reading might not end.
+    OSError is raised if the path cannot be opened. It is also raised for a folder, a pipe or a device, because reading
+    from these might never end.
     """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     mode = os.fstat(handle).st_mode
@@ -121,15 +123,15 @@ def open_for_reading(path: Path) -> BufferedReader:
 
 
 def read_whole_file(path: Path) -> bytes:
-    """Content of a file of any size; OSError as for `open_for_reading`."""
+    """Content of a file of any size; raises OSError like `open_for_reading`."""
     with open_for_reading(path) as stream:
         return stream.read()
 
 
 def complete_interrupted_moves(folder: Path) -> set[str]:
-    """Names of the files whose interrupted renaming was completed; temporary files of killed processes are removed.
+    """Completion of renamings that a killed process left unfinished; returns the final names of the renamed files.
 
-    OSError is raised if the folder cannot be written.
+    Temporary files of killed processes are removed. OSError is raised if the folder cannot be written.
     """
     finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
@@ -153,7 +155,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
 
 def path_in_folder(folder: Path, file_name: str) -> Path:
-    """Path of a file in a folder after resolution of links.
+    """Path of a file in a folder after resolution of symbolic links.
 
     RecordError is raised for a link that leads out of the folder, and for a pipe or device.
     """
@@ -163,18 +165,18 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
             f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
         )
-    if is_device(final_path):
+    if is_device_or_pipe(final_path):
         raise RecordError("is a pipe or device; remove it, or choose another folder", file=folder / file_name)
     return final_path
 
 
 def with_digest_comment(text: str) -> str:
-    """XML text with its digest in a comment at its end, by which `is_unmodified` recognises it."""
+    """XML text with its SHA-256 digest in a comment at the end, which shows whether the file was modified later."""
     return f"{text}<!-- written by ltsim, sha256 {hashlib.sha256(text.encode()).hexdigest()} -->\n"
 
 
-def is_unmodified(path: Path) -> bool:
-    """True for a file with a text of `with_digest_comment` that has not been modified since it was written."""
+def is_unmodified_since_written(path: Path) -> bool:
+    """True for a file that ltsim wrote with `with_digest_comment` and that has not been modified since."""
     n_bytes = len(with_digest_comment("").encode())
     with open_for_reading(path) as stream:
         stream.seek(-min(n_bytes, path.stat().st_size), os.SEEK_END)
@@ -185,7 +187,7 @@ def is_unmodified(path: Path) -> bool:
     return content == with_digest_comment(content[:-n_bytes].decode("utf-8", "replace")).encode()
 
 
-def is_device(path: Path) -> bool:
+def is_device_or_pipe(path: Path) -> bool:
     """True for the path of a device or pipe, which is neither a file nor a folder."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
@@ -199,14 +201,14 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
         if path.is_dir() != is_folder and path.exists():
             wrong = "the path is a file, expected a folder" if is_folder else "the path is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
-        if is_device(path):
+        if is_device_or_pipe(path):
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         else:
             _check_nearest_folder_writable(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
-    if not is_folder and not (is_device(path) and not path.is_symlink()):
+    if not is_folder and not (is_device_or_pipe(path) and not path.is_symlink()):
         path_in_folder(path.parent, path.name)
 
 
@@ -223,12 +225,13 @@ def _check_nearest_folder_writable(path: Path, folder: Path) -> None:
 
 
 def _temporary_name(file_suffix: str) -> str:
+    """Unique name of a temporary file of this process, with the suffix `file_suffix`."""
     return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{file_suffix}"
 
 
 def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
-    """Creation of a new file with the permissions that the user's umask permits."""
-    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, FILE_MODE)) as stream:
+    """Creation of a new file with `content`; the user's umask restricts its permissions."""
+    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, NEW_FILE_PERMISSIONS)) as stream:
         stream.write(content)
         if flush_to_disk:
             stream.flush()
@@ -256,7 +259,7 @@ def _is_inside_folder(folder: Path, file_name: str) -> bool:
 
 
 def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
-    """Temporary files, with the suffix `file_suffix`, whose processes have ended, in a folder and its subfolders.
+    """Temporary files with the suffix `file_suffix` in a folder and its subfolders whose processes have ended.
 
     Files behind symbolic links are left out.
     """
@@ -268,6 +271,7 @@ def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
 
 
 def _is_running(process_id: int, process_token: str) -> bool:
+    """True if the process with this number and random identifier is still running, or if this cannot be determined."""
     if os.name == "nt":  # where `os.kill` would end the process
         return True
     if process_id == os.getpid():

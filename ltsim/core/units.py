@@ -1,6 +1,6 @@
 """Units of input and output. Inside the program every number is in SI units: metre, radian, second, kelvin.
 
-A parameter declares its display unit: ``displayed = value / SI_PER_UNIT[unit]``.
+Each parameter declares the unit in which it is displayed: ``displayed = value / SI_PER_UNIT[unit]``.
 """
 
 import functools
@@ -24,9 +24,9 @@ GON = math.pi / 200
 QUARTER_TURN = 0.5 * math.pi
 """Quarter of a full turn [rad]."""
 PPM = 1e-6
-"""Part per million, 1e-6."""
+"""Part per million, as a number: 1e-6."""
 EARTH_RADIUS = 6_371_000.0
-"""Mean radius [m] of the earth."""
+"""Mean radius of the earth [m]."""
 
 SI_PER_UNIT = MappingProxyType(
     {
@@ -63,15 +63,15 @@ SI_PER_UNIT = MappingProxyType(
         "um2/m3": MICROMETRE**2,
     }
 )
-"""Value of each unit in SI units, by the name of the unit."""
+"""Size of each unit in SI units, by the name of the unit. Pressures remain in hPa."""
 
-CONVERTIBLE_UNITS = (
+CONVERTIBLE_UNIT_GROUPS = (
     frozenset({"um", "mm", "cm", "m", "in", "ft"}),
     frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "rad"}),
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
-"""Groups of units that can be converted into each other: lengths, angles, times and others."""
+"""Groups of units that can be converted into each other: lengths, angles, times, and ratios of lengths."""
 _SPELLINGS_BY_UNIT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
@@ -84,16 +84,16 @@ _SPELLINGS_BY_UNIT = MappingProxyType(
     }
 )  # fmt: skip
 """Accepted spellings of each unit in lower case, separated by blanks; an underscore stands for a blank."""
-UNITS_BY_SPELLING = MappingProxyType(
+UNIT_BY_SPELLING = MappingProxyType(
     {word.replace("_", " "): unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
 )
 """Unit by its spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
 ANGLE_UNITS = ("deg", "gon", "rad", "dms")
-"""Units of angles."""
+"""Units of angles in files; `dms` means degrees, minutes and seconds in one cell."""
 LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
-"""Units of lengths."""
+"""Units of lengths in files."""
 SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
-"""Units of small angles, such as standard deviations."""
+"""Units of small angles in files, such as standard deviations."""
 _PI = Decimal("3.14159265358979323846264338327950288")
 """Pi with 36 digits, for exact conversions of angles."""
 _FULL_CIRCLE_BY_UNIT = MappingProxyType(
@@ -102,7 +102,7 @@ _FULL_CIRCLE_BY_UNIT = MappingProxyType(
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
     }
 )  # fmt: skip
-"""Full circle in each unit of an angle."""
+"""Size of a full circle, by the unit of the angle."""
 UNIT_BY_KEY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",
@@ -118,7 +118,7 @@ _QUANTITY_PATTERN = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+
 
 @functools.cache
 def permitted_units_text() -> str:
-    """List of all permitted units for a message; the unit of a pure number is the empty text."""
+    """Text with all permitted units, for messages."""
     return f"{', '.join(filter(None, SI_PER_UNIT))}, or '' for a number without a unit"
 
 
@@ -130,7 +130,7 @@ def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
 
 
 def unit_of_key(key_name: str) -> str:
-    """Unit that the name of a key contains, such as `mm` for `x_mm`; empty for a key without a unit."""
+    """Unit that the name of a key contains, such as `mm` for `x_mm`; empty text for a key without a unit."""
     for ending, name in UNIT_BY_KEY_ENDING.items():
         if key_name.endswith(ending):
             return name
@@ -139,11 +139,11 @@ def unit_of_key(key_name: str) -> str:
 
 def are_convertible_units(unit: str, other_unit: str) -> bool:
     """True if two units measure the same kind of quantity, for example two units of length."""
-    return unit == other_unit or any({unit, other_unit} <= kind for kind in CONVERTIBLE_UNITS)
+    return unit == other_unit or any({unit, other_unit} <= kind for kind in CONVERTIBLE_UNIT_GROUPS)
 
 
-def parse_in_unit(text: str, unit: str) -> float | None:
-    """Number in the unit `unit` from a text with a convertible unit, such as ``2 urad``.
+def parse_quantity_in_unit(text: str, unit: str) -> float | None:
+    """Number in the unit `unit`, from a text with a number and a unit, such as ``2 urad``.
 
     The result is None if the text is not a number with a unit that can be converted into `unit`.
     """

@@ -126,7 +126,7 @@ class Diagnosis(ResultFile):
         """Adjustment with the findings in its model."""
         return self.arrays.final_adjustment
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Lines for a terminal: verdict, summary, and chi-square without and with the findings."""
         lines = [f"Diagnosis: {self.verdict}", self.summary]
         if self.fit is None:
@@ -139,7 +139,7 @@ class Diagnosis(ResultFile):
                 phrase += f"; held-out error {before.held_out_rms:.2f} sigma, then {after.held_out_rms:.2f} sigma"
         return [*lines, phrase]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         """Functions that build the data tables of the diagnosis, by name of the table."""
         return {
             "findings": self._findings_table,

@@ -5,7 +5,7 @@ from pathlib import Path
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -52,6 +52,6 @@ def diagnose(
     >>> diagnosis.verdict, len(diagnosis.findings)
     ('consistent', 0)
     """
-    check_bounds(level=level, seed=seed, required_argument="level seed")
+    check_argument_bounds(level=level, seed=seed, required_argument="level seed")
     earlier = None if history is None else EarlierCalibrationPrior.from_source(history)
     return diagnosis_of(load_recording(recording), level=level, seed=seed, history=earlier, held_out=held_out)

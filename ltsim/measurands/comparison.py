@@ -24,7 +24,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import names_text
-from ltsim.core.probability import p_relation_text
+from ltsim.core.probability import p_value_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, ResultSource, Vector
@@ -120,12 +120,12 @@ class Comparison(ResultFile):
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacement and test of each point that both epochs contain, in the order of the first recording."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [
             self.sentence,
             *self.notes,
-            f"test of the hypothesis that no point moved: {p_relation_text(self.p_value)} for all points, "
-            f"{p_relation_text(self.p_value_without_moved_points)} for the points that did not move",
+            f"test of the hypothesis that no point moved: {p_value_relation_text(self.p_value)} for all points, "
+            f"{p_value_relation_text(self.p_value_without_moved_points)} for the points that did not move",
         ]
 
     @property
@@ -133,7 +133,7 @@ class Comparison(ResultFile):
         """Tests of the errors in the two recordings that the model corrects."""
         return corrected_faults((*self.tests, *self.second_tests))
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.table_row for d in self.displacements)}
 
     @property

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ltsim.core.errors import as_input_error
+from ltsim.core.errors import reraise_as_input_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.keys import DistinctValues
@@ -210,5 +210,5 @@ def load_tasks(path: Path) -> Tasks:
 
 def validate_tasks(tables: Mapping[str, Any], file: object) -> Tasks:
     """Tasks from the tables of a task file, which are checked; raises InputError, which names `file`."""
-    with as_input_error():
+    with reraise_as_input_error():
         return validate_settings(tables, Tasks, "task file", file)

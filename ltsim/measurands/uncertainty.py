@@ -222,7 +222,7 @@ class Uncertainty(ResultFile):
     tests: tuple[CauseTest, ...] = ()
     """Tests of the possible causes of a misfit of the recording, and of its outliers."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_RESULTS_IN_SUMMARY]]
         n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage_probability:g} % intervals, {self.trials} trials"
@@ -234,7 +234,7 @@ class Uncertainty(ResultFile):
         """True if the model corrects errors of the recording, or if the readings contradict the model."""
         return self.uncertainty_factor > 1.0 or bool(corrected_faults(self.tests))
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         budget_rows = [(r, p) for r in self.results for p in r.budget]
         task_rows: list[tuple[Any, ...]] = [
             (r.task, r.name, p.source, p.evaluation_type, r.unit, p.variance_fraction, p.standard_uncertainty)

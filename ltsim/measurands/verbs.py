@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.calibration.identified_network import IdentifiedNetwork
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import ConvergenceError, ModelError, NetworkError, option_text
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments, compare_coordinates
@@ -52,7 +52,7 @@ def uncertainty(
          task    result unit
     0  length  distance   mm
     """
-    check_bounds(seed=seed)
+    check_argument_bounds(seed=seed)
     given: Tasks
     if isinstance(tasks, Tasks):
         given = tasks
@@ -116,7 +116,7 @@ def compare(
     >>> lt.compare(january, january, same_instrument=True).moved_points
     ()
     """
-    check_bounds(level=level, required_argument="level")
+    check_argument_bounds(level=level, required_argument="level")
     lists = [
         coordinates for coordinates in (_load_coordinates(first), _load_coordinates(second)) if coordinates is not None
     ]

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, RecordError, as_input_error
+from ltsim.core.errors import InputError, RecordError, reraise_as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.search_space import MIN_VISIBLE_TARGETS_PER_STATION
@@ -78,7 +78,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
             return PlanFile(scenario=name), load_scenario(name)
         similar = _suggestion(name, builtin_plan_names())
         raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan of this name; {similar}")
-    with as_input_error():
+    with reraise_as_input_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
@@ -194,7 +194,7 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
     Additional columns are keys of `PlanPoint`, such as ``weight``. Raises InputError.
     """
     columns = list(PlanPoint.model_fields)[4:]
-    with as_input_error():
+    with reraise_as_input_error():
         table = read_coordinates(path)
         for name in table.additional_columns:
             if name not in columns:

@@ -134,12 +134,12 @@ class NextMeasurement(ResultFile):
             ),
         )
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         titles = [effect_title(name) for name in self.compared_effects]
         question = f" between {list_text(titles)}" if titles else ""
         return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"proposals": self._proposals_table, "separation": self._chi2_differences_table}
 
     def _proposals_table(self) -> Table:

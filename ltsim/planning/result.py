@@ -134,10 +134,10 @@ class Plan(ResultFile, PlannedLayoutEntry):
             raise ModelError("a plan read from a file has no arrays; call lt.plan with its folder and move={}")
         return self._network
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [self.summary, *self.reasons[:1]]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "stations": self._stations_table,
             "reflectors": self._reflectors_table,
@@ -228,7 +228,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     if folder is None:
         return plan
     network = plan.network
-    companions = [plan.table(name) for name in plan._tables()]
+    companions = [plan.table(name) for name in plan._table_makers()]
     companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
     scenario, cad = with_cad_file_copies(scenario_of_plan(network))
     texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE_NAME: scenario_to_toml(scenario)}

@@ -28,7 +28,7 @@ which the axes count as equal. Nominal positions are accurate to decimetres; in 
 def with_station_poses_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-        The axes follow from the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such
+    The axes follow from the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such
     targets the nominal positions of the stations must be in these axes, and the recording is returned unchanged.
     `search_space` is that of the plan, `site_name` the name of the plan in errors.
 

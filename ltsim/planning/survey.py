@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.core.arrays import Bools, Floats, Ints, as_floats
+from ltsim.core.arrays import Bools, Floats, Ints, as_finite_floats
 from ltsim.core.errors import InputError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rotation_about_z
@@ -63,9 +63,9 @@ class PlannedSurvey:
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
-        as_floats(self.station_positions, (stations, 3), "position")
-        as_floats(self.station_yaws, (stations,), "yaw")
-        as_floats(self.target_points, (targets, 3), "points")
+        as_finite_floats(self.station_positions, (stations, 3), "position")
+        as_finite_floats(self.station_yaws, (stations,), "yaw")
+        as_finite_floats(self.target_points, (targets, 3), "points")
         if self.is_visible.shape != (stations, targets):
             entries = " x ".join(map(str, self.is_visible.shape))
             raise InputError(f"the table of visibility has {entries} entries, expected {stations} x {targets}")

@@ -8,7 +8,12 @@ import numpy as np
 
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
-from ltsim.core.arguments import MAX_MAPPING_VALUE_MAGNITUDE, STATION_POSITION_SYNTAX, check_bounds, check_mapping
+from ltsim.core.arguments import (
+    MAX_MAPPING_ARGUMENT_MAGNITUDE,
+    STATION_POSITION_SYNTAX,
+    check_argument_bounds,
+    check_mapping_argument,
+)
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -77,8 +82,8 @@ def plan(
     >>> made.to_dataframe("stations").shape
     (3, 9)
     """
-    check_bounds(starts=starts, seed=seed, jobs=jobs, required_argument="jobs")
-    check_mapping("move", move)
+    check_argument_bounds(starts=starts, seed=seed, jobs=jobs, required_argument="jobs")
+    check_mapping_argument("move", move)
     file, scenario = load_plan_and_scenario(source)
     if move is not None:
         return Plan.from_network(_plan_with_moved_stations(file, scenario, move))
@@ -276,7 +281,7 @@ def _position_numbers(name: str, position: object) -> Floats:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):
         place = np.zeros(0)
-    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_VALUE_MAGNITUDE):
+    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_ARGUMENT_MAGNITUDE):
         raise InputError(
             f"{option_text('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}"
         )

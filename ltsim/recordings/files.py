@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import BYTES_PER_MIB, MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINES
-from ltsim.core.storage import is_device, open_for_reading, write_files, write_to_device
+from ltsim.core.storage import is_device_or_pipe, open_for_reading, write_files, write_to_device
 
 MAX_RECORDING_NAME_LENGTH = 100
 """Largest permitted number of characters in the name of a station, target or instrument."""
@@ -230,7 +230,7 @@ def write_text(path: Path, text: str | bytes) -> None:
     A temporary file is written and renamed. Raises RecordError if the file cannot be written, or a link leads out of
     its folder.
     """
-    if is_device(path) and not path.is_symlink():
+    if is_device_or_pipe(path) and not path.is_symlink():
         with _raise_writing_errors_as_record_errors(path):
             write_to_device(path, _utf8_bytes(text))
     else:

@@ -12,9 +12,9 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_ROW_FIELDS
+from ltsim.core.limits import MAX_TABLE_COLUMNS
 from ltsim.core.results import escape_formula, unescape_formula
-from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
+from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
     MAX_NUMBER_TEXT_LENGTH,
@@ -110,9 +110,9 @@ def _read_table(path: Path, *, is_growing: bool) -> TextTable:
             if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
-                if len(cells) > MAX_ROW_FIELDS:
+                if len(cells) > MAX_TABLE_COLUMNS:
                     raise SourceLocation(path, len(rows)).error(
-                        f"{len(cells)} columns, expected at most {MAX_ROW_FIELDS}"
+                        f"{len(cells)} columns, expected at most {MAX_TABLE_COLUMNS}"
                     )
                 rows.append(cells)
                 if len(cells) != len(rows[0]):
@@ -195,7 +195,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         right = next((k for k in COLUMN_VALUE_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
-            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
+            and unit.lower() in (*UNIT_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
             and name not in COLUMN_VALUE_BOUNDS
         ):
             raise location.error(f"the unit '{unit}' is not permitted here, expected the column {right}", name)

@@ -146,11 +146,11 @@ class Recording(Result):
             f"{in_faces}, {len(self.gauge.distance)} known lengths{differences}"
         )
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Lines of the printed summary of the recording."""
         return [f"Recording: {self.headline}", *self.notes]
 
-    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], ColumnValues]]:
         """Tables of the recording for export, by name."""
         return {"pointings": self._pointings_table}
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ltsim.core.errors import ModelError, RecordError, as_input_error
+from ltsim.core.errors import ModelError, RecordError, reraise_as_input_error
 from ltsim.core.limits import (
     MAX_TOML_BYTES,
     MAX_TOML_DEPTH,
@@ -176,7 +176,7 @@ def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsT
 
     Raises InputError.
     """
-    with as_input_error():
+    with reraise_as_input_error():
         return validate_settings(read_toml(path, kind), model, kind, path)
 
 

@@ -9,7 +9,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from ltsim.core.notation import count_text as count_text, names_text as names_text
-from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_relation_text, two_sided_p_value
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_value_relation_text, two_sided_p_value
 
 if TYPE_CHECKING:
     from ltsim.campaigns.schema import ScenarioSettings
@@ -78,7 +78,7 @@ def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[b
         return True, "the model cannot be tested, because there is no redundancy"
     agrees, statistic_text = (
         two_sided_p_value(p_value) >= TWO_SIDED_GLOBAL_TEST_LEVEL,
-        f"(chi2 {chi2:.0f} for {dof}, two-sided {p_relation_text(two_sided_p_value(p_value))})",
+        f"(chi2 {chi2:.0f} for {dof}, two-sided {p_value_relation_text(two_sided_p_value(p_value))})",
     )
     if not agrees and p_value > 0.5:
         return False, f"the scatter of the readings is smaller than the declared noise {statistic_text}"

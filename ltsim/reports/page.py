@@ -11,7 +11,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from ltsim.campaigns import require_packages
+from ltsim.campaigns import require_campaign_packages
 from ltsim.core.errors import LtsimError, RecordError, as_printable
 from ltsim.recordings import read
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
@@ -93,7 +93,7 @@ def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Sectio
     if page_part.result_file == OBSERVATIONS_FILE:
         return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
     if page_part.result_file == CAMPAIGN_MANIFEST_FILE_NAME:
-        require_packages()
+        require_campaign_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 
         return campaign_section(page_part.folder)

@@ -161,8 +161,8 @@ def _(result: NextMeasurement) -> Figure:
 
 @figure_of.register
 def _(result: HeldOutPointErrors) -> Figure:
-    example = next(iter(result.errors.values()))
-    rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors.items()}
+    example = next(iter(result.errors_by_calibration.values()))
+    rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors_by_calibration.items()}
     ends = {
         "as read": [example.raw_rms / MICROMETRE],
         "by the true parameters": [example.true_parameters_rms / MICROMETRE],

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.core.arguments import check_choice, path_argument, path_of_file_or_built_in
+from ltsim.core.arguments import check_argument_choice, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import require_extra
 from ltsim.core.results import Result
 from ltsim.core.storage import check_writable
@@ -32,7 +32,7 @@ class View(Result):
     workshop: WorkshopScene
     """Scene of the hall that the view shows."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         """Line for a terminal: title, numbers of stations and targets, and methods."""
         w = self.workshop
         title = f"{w.title}: " if w.title else ""
@@ -102,9 +102,9 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; write_png(), write_html() or show()
     """
-    check_choice("cad_unit", cad_unit, tuple(UNIT_NAMES), allow_none=True)
-    check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
-    check_choice("colour", colour, ("incidence", "residual"))
+    check_argument_choice("cad_unit", cad_unit, tuple(UNIT_NAMES), allow_none=True)
+    check_argument_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
+    check_argument_choice("colour", colour, ("incidence", "residual"))
     cad_path = None if cad is None else path_argument("cad", cad)
     require_extra(("pyvista", "trame_vtk"), "3D views", "view")
     workshop = _workshop_of(source).with_sights_coloured_by(colour)

@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ltsim.core.arrays import Bools, Floats, Ints, as_floats
+from ltsim.core.arrays import Bools, Floats, Ints, as_finite_floats
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
 from ltsim.scene.meshes import Obstacles
@@ -188,7 +188,10 @@ def compute_visibility(
     incidence is permitted. `is_reaimed` (T,) flags the reflectors that are turned to the station before each pointing,
     by default all. Raises ModelError for a target at the origin of a station.
     """
-    position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
+    position, points = (
+        as_finite_floats(position, (-1, 3), "position"),
+        as_finite_floats(points, (-1, 3), "points"),
+    )
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
     if np.any(range_ < LIMIT_TOLERANCE):

@@ -1,7 +1,7 @@
-"""Distributions of the random values of trials, and their draws; a single recording and a campaign use the same draws.
+"""Distributions and draws of the random values of trials; single recordings and campaigns use the same draws.
 
-A draw depends only on the seed, its purpose and the number of the trial. An effect, method or worker process that is
-added therefore does not change any draw for another purpose.
+A draw depends only on the seed, its purpose and the number of the trial. An additional effect, method or worker process
+therefore does not change any draw for another purpose.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ltsim.simulation.physics import incidence_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_ROUNDING_STEP = 1e-4 * MILLIMETRE
-"""Step [m] to which a certificate rounds its reference lengths: 0.1 um."""
+"""Step [m] to which a calibration certificate rounds its reference lengths: 0.1 um."""
 
 
 @dataclass(frozen=True)
 class EffectDistribution:
-    """Effect whose parameters are drawn from normal distributions.
+    """Effect of a scenario, and the normal distributions from which its parameters are drawn.
 
     For a parameter that is never negative, the absolute value of the draw is used.
     """
@@ -41,10 +41,10 @@ class EffectDistribution:
     parameter_means: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     parameter_sigmas: Floats
-    """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
+    """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a parameter that is not
+    drawn."""
     occurrence_number: int = 1
-    """Number of this effect, from 1, among the scenario's entries of the same effect at the same stations and
-    targets."""
+    """Number of this effect, from 1, among the scenario's entries with the same effect, stations and targets."""
 
     @property
     def is_nonnegative(self) -> Bools:
@@ -54,9 +54,10 @@ class EffectDistribution:
 
 
 def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectDistribution, ...]:
-    """Parameter distributions of the scenario's effects `effects`, in the order of the scenario file.
+    """Distributions of the parameters of `effects`, which are the scenario's effects in the order of its file.
 
-    The last one may be the incidence error of the reflectors, which the scenario's table `[smr]` defines.
+    The last effect may be the range error of the reflectors by incidence angle, which the table `[smr]` of the scenario
+    defines.
     """
     counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
@@ -74,19 +75,19 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
 
 @dataclass(frozen=True)
 class StandardNormalSource:
-    """Source of standard normal numbers for the trials of a seed, one independent stream per purpose."""
+    """Generator of standard normal numbers for trials of one seed, with an independent random stream per purpose."""
 
     seed: int
-    """Root seed of the campaign or recording."""
+    """Seed of the campaign or recording, from which all random streams start."""
     trial_numbers: Ints
-    """Numbers of the trials."""
+    """Numbers of the trials in the campaign, shape (trials,)."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
-        """Standard normal numbers, shape (n_values, trials), from the random stream of the purpose `stream_key`."""
+        """Standard normal numbers, shape (n_values, trials), from the random stream with the key `stream_key`."""
         return standard_normal_trials(self.seed, self.trial_numbers, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
-        """Sources for each trial of this source separately; they share a cache, so that each number is drawn once."""
+        """Separate generator for each trial; all share a cache, so that each random number is drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [
             _SingleTrialSource(self.seed, self.trial_numbers[[k]], together, k) for k in range(len(self.trial_numbers))
@@ -95,23 +96,24 @@ class StandardNormalSource:
 
 @dataclass(frozen=True)
 class _SingleTrialSource(StandardNormalSource):
-    """Source of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
+    """Generator of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
 
     draw_batch_numbers: Callable[..., Floats] = standard_normal_trials
-    """Function that draws the standard normal numbers of all trials of the batch."""
+    """Function that draws the standard normal numbers of all trials of the batch, (n_values, trials)."""
     trial_index: int = 0
     """Index of the trial in the batch."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
+        """Standard normal numbers of the trial, shape (n_values, 1), from the stream with the key `stream_key`."""
         return self.draw_batch_numbers(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
 
 
 @dataclass(frozen=True)
-class TrialDraw:
-    """Random values drawn for several trials; the last axis of each array has one entry per trial."""
+class DrawnTrialValues:
+    """Random values drawn for several trials; the last axis of each array is the trial."""
 
     trial_numbers: Ints
-    """Numbers of the trials."""
+    """Numbers of the trials in the campaign, shape (trials,)."""
     instrument_values: Floats
     """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
     effect_values: tuple[Floats, ...]
@@ -119,40 +121,42 @@ class TrialDraw:
     reading_errors: Floats
     """Random errors of the readings, shape (pointings, 3, trials) [m, rad, rad]."""
     certified_lengths: Floats
-    """Reference lengths that the certificates declare at calibration temperature, shape (lengths, trials) [m]."""
+    """Reference lengths at the calibration temperature, as the certificates declare them, shape (lengths, trials) [m].
+    """
 
 
 @dataclass(frozen=True)
 class TrialDistributions:
-    """Distributions of all random values of a trial, for given true positions of stations and targets."""
+    """Distributions of all random values of trials, for given true positions of stations and targets."""
 
     sightings: Sightings
     """Pointings with the true positions of stations and targets."""
     construction: GeometricErrorModel
     """Instrument model that generates the readings."""
-    instruments: tuple[str, ...]
-    """Names of the trackers; '' for a tracker without a name."""
-    instrument_means: Floats
+    instrument_names: tuple[str, ...]
+    """Names of the trackers, in the order of the instruments of the recording; '' for a tracker without a name."""
+    instrument_error_means: Floats
     """Means of the instrument errors, shape (instruments, parameters) [SI]."""
-    instrument_sigmas: Floats
-    """Standard deviations of the normally distributed instrument errors, shape (instruments, parameters) [SI]."""
+    instrument_error_sigmas: Floats
+    """Standard deviations of the (normally distributed) instrument errors, shape (instruments, parameters) [SI]."""
     noise_sigmas: Floats
-    """Standard deviations of the readings before effects change the noise, shape (pointings, 3) [m, rad, rad]."""
+    """Standard deviations of the readings before the scenario's effects change the noise, (pointings, 3) [m, rad, rad].
+    """
     reference_lengths: ReferenceLengths
     """True reference lengths, with the standard deviations of their certificates."""
-    length_end_names: tuple[str, ...]
-    """Names of the targets at the ends of the reference lengths."""
+    length_target_names: tuple[str, ...]
+    """Names of the targets to which the indices of the ends of the reference lengths refer."""
     effects: tuple[EffectDistribution, ...] = ()
-    """Effects with the distributions of their parameters."""
+    """Effects of the scenario with the distributions of their parameters."""
     certificate_error_factor: float = 1.0
-    """Ratio of the true to the declared standard deviation of the error of a certified length."""
+    """Ratio of the true to the declared standard deviation of certified lengths."""
 
     def draw(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
-    ) -> TrialDraw:
-        """Random values of the trials of `normal_source`.
+    ) -> DrawnTrialValues:
+        """Random values of the trials for which `normal_source` generates standard normal numbers.
 
-        `instrument_values`, if given, replaces the drawn instrument errors, (instruments, parameters, trials) [SI].
+        `instrument_values` (instruments, parameters, trials) [SI], if given, replaces the drawn instrument errors.
         Another `stream_key` gives the same trials independent noise, for a second measurement. InputError is raised if
         an effect makes a variance negative.
         """
@@ -163,7 +167,7 @@ class TrialDistributions:
         for column, name in enumerate(OBSERVABLES):
             np.multiply(sigma[:, column], normal_source(count, *noise_key, name), out=white[:, column])
         errors = self._draw_instrument_values(normal_source) if instrument_values is None else instrument_values
-        return TrialDraw(
+        return DrawnTrialValues(
             normal_source.trial_numbers,
             errors,
             effect_values,
@@ -172,18 +176,18 @@ class TrialDistributions:
         )
 
     def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
-        """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
-        instrument_values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trial_numbers), axis=2)
-        for i, name in enumerate(self.instruments):
+        """Drawn true instrument parameters, shape (instruments, parameters, trials) [SI]."""
+        instrument_values = np.repeat(self.instrument_error_means[:, :, None], len(normal_source.trial_numbers), axis=2)
+        for i, name in enumerate(self.instrument_names):
             key = ("instrument", name) if name else ("instrument",)
-            for k in np.flatnonzero(self.instrument_sigmas[i]):
+            for k in np.flatnonzero(self.instrument_error_sigmas[i]):
                 instrument_values[i, k] += (
-                    self.instrument_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
+                    self.instrument_error_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
                 )
         return instrument_values
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
-        """True parameters of the effect `distribution`, shape (parameters, trials) [SI]."""
+        """Drawn true parameters of the effect with this `distribution`, shape (parameters, trials) [SI]."""
         effect_values = np.repeat(distribution.parameter_means[:, None], len(normal_source.trial_numbers), axis=1)
         for k in np.flatnonzero(distribution.parameter_sigmas):
             key = (
@@ -201,8 +205,8 @@ class TrialDistributions:
     def noise_sigmas_with_effects(self, effect_values: tuple[Floats, ...]) -> Floats:
         """True standard deviations of the readings, shape (pointings, 3, trials) [m, rad, rad].
 
-        `effect_values` has the parameters [SI] of each effect, (parameters, trials). The last axis of the result has
-        one entry if the effects on the noise are the same in all trials.
+        `effect_values` holds the parameters of each effect, (parameters, trials) [SI]. The last axis of the result has
+        one entry if the noise is the same in all trials.
         """
         on_noise = [
             (law.effect, amount)
@@ -218,27 +222,27 @@ class TrialDistributions:
     def _sigmas_with_noise_effects(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
         """Standard deviations of the readings in one trial with effects on the noise, (pointings, 3) [m, rad, rad].
 
-        `noise_effects` holds pairs of an effect and its parameters, shape (parameters,) [SI].
+        `noise_effects` holds pairs of an effect on the noise and its parameters, shape (parameters,) [SI].
         """
         sigma = self.noise_sigmas
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise InputError(f"effects: {effect.name} makes a variance of readings negative; give it larger values")
+                raise InputError(f"effects: {effect.name} makes a variance of readings negative; give larger values")
             sigma = np.sqrt(variance)
         return sigma
 
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
-        """Certified lengths (lengths, trials) [m], computed with the true expansion coefficient and temperature."""
+        """Drawn certified lengths (lengths, trials) [m], with the true expansion coefficient and temperature."""
         lengths = self.reference_lengths
         expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trial_numbers), axis=1)
         for name, change in lengths.shared_error_shifts.items():
             expansion_factors += (change / (lengths.lengths / lengths.expansion_factors))[:, None] * normal_source(
                 1, name
             )
-        true_lengths = lengths.lengths[:, None] + self.length_change(effect_values)
+        true_lengths = lengths.lengths[:, None] + self.reference_length_change(effect_values)
         draws = [
-            normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
+            normal_source(1, "cmm", self.length_target_names[a], self.length_target_names[b])
             for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
         unit_errors = np.reshape(draws, expansion_factors.shape)
@@ -247,10 +251,10 @@ class TrialDistributions:
             (true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_ROUNDING_STEP
         )
 
-    def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
+    def reference_length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true reference lengths by effects with the parameters `effect_values` [SI].
 
-        The shape is (lengths, trials) [m], or (lengths, 1) without random effects.
+        The shape is (lengths, trials) [m], or (lengths, 1) if no effect changes the lengths.
         """
         lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.lengths), 1))
         for law, amount in zip(self.effects, effect_values, strict=True):

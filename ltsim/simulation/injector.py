@@ -1,7 +1,7 @@
 """Injection of an effect into an existing recording: the change that the effect predicts is added to the readings.
 
-Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions. An
-error of 1 mm in a position changes it by 1e-4 of its size at a range of 10 m.
+Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions of
+stations and targets. A position error of 1 mm at a range of 10 m alters the change by 1e-4 of its size.
 """
 
 from collections.abc import Mapping
@@ -22,17 +22,19 @@ from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import displayed_shape_parameters
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.simulator import with_certified_lengths
+from ltsim.simulation.simulator import with_certified_reference_lengths
 
 INJECTION_FORMAT = "ltsim-injection/1"
-"""Format and version of a truth file of injections."""
+"""Format and version of a file with the true values of injections."""
 NONCENTRALITY_TOLERANCE = 1e-4
-"""Relative difference between the effect's noncentrality and the requested one below which the scaling ends."""
-MAX_SCALING_STEPS = 60
+"""Largest relative difference between the noncentrality of a scaled effect and the requested noncentrality, at which
+the scaling ends."""
+MAX_NONCENTRALITY_SCALING_STEPS = 60
 """Largest number of iterations in the scaling of an effect to the requested noncentrality."""
 MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY = 30.0
-"""Largest permitted change of a reading by an injected effect, in standard deviations of the reading, divided by the
-square root of the requested noncentrality. An effect that needs a larger change counts as absorbed by the unknowns."""
+"""Largest permitted change of a reading by an injected effect. The unit is the standard deviation of the reading, times
+the square root of the requested noncentrality. If a larger change is needed, the unknowns of the network absorb the
+effect."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,19 +42,19 @@ class InjectedEffect(Result):
     """Effect that was injected into a recording, with the values of its parameters."""
 
     effect: CandidateEffect
-    """Effect of the catalogue, with the stations and targets where it acts."""
+    """Injected effect, with the stations and targets where it acts."""
     effect_specification: str
     """Specification of the effect as the user wrote it, such as `range-offset:S3`."""
     parameter_values: Floats
     """Values of the parameters of the effect, shape (parameters,) [SI]."""
     noncentrality: float
-    """Noncentrality of the effect in the residuals, that is, the expected decrease of chi-square if the effect is
-    modelled; for an effect on the noise, the expected decrease of minus twice the log-likelihood."""
+    """Noncentrality of the effect in the residuals: expected decrease of chi-square if the effect is modelled. For an
+    effect on the noise, expected decrease of minus twice the log-likelihood."""
     largest_changes: dict[str, float]
     """Largest absolute change of a reading, by observable: distance [um], azimuth and elevation [urad]. For an effect
     on the noise, the largest added standard deviation."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         sizes_text = ", ".join(
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
@@ -60,12 +62,14 @@ class InjectedEffect(Result):
         return [f"Injected: {self.effect_specification}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameter_entries(self) -> list[tuple[Any, float]]:
+        """Pairs of a parameter of the effect and its value [SI]."""
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
 
-    def _tables(self) -> dict[str, Any]:
+    def _table_makers(self) -> dict[str, Any]:
         return {"parameters": self._parameter_columns}
 
     def _parameter_columns(self) -> ColumnValues:
+        """Columns of the table of parameters: name, value and unit."""
         size_entries = self._parameter_entries()
         return {
             "parameter": [p.name for p, _ in size_entries],
@@ -74,7 +78,7 @@ class InjectedEffect(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the effect in a truth file of injections."""
+        """Entry of the effect in a file with the true values of injections."""
         cause = self.effect
         shape = displayed_shape_parameters(cause) if isinstance(cause, Effect) else {}
         return {
@@ -95,11 +99,11 @@ class InjectionTruth(Result):
     injected_effects: tuple[InjectedEffect, ...]
     """Effects in the order of their injection."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
-        """Content of a truth file of injections."""
+        """Content of a file with the true values of injections."""
         return {
             "format": INJECTION_FORMAT,
             "seed": self.seed,
@@ -108,7 +112,7 @@ class InjectionTruth(Result):
 
 
 class RecordingWithInjection(NamedTuple):
-    """Recording with injected effects, and the true values of these effects."""
+    """Recording with injected effects, and the true parameter values of these effects."""
 
     recording: Recording
     """Recording with the changed readings."""
@@ -138,38 +142,37 @@ DETECTION_CURVE_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class DetectionCurve(Result):
-    """Detection curve: fractions of injections of an effect that are detected, located and named, by noncentrality."""
+    """Detection curve of an effect: how many of its injections are detected, located and named, by noncentrality."""
 
     effect_specification: str
     """Specification of the injected effect, such as `range-offset:S3`."""
     effects_without_injection: tuple[str, ...]
     """Names of the effects that the diagnosis reports in the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
-    """Row of the curve for each noncentrality: values by column name."""
+    """Rows of the curve, one for each noncentrality, as values by column name."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         reported = ", ".join(self.effects_without_injection) or "nothing"
-        lines = [
-            f"{self.effect_specification}, injected into the recording; findings without the injection: {reported}"
-        ]
+        lines = [f"Injections of {self.effect_specification}; effects reported without an injection: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, located {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
             for row in self.rows
         ]
 
-    def _tables(self) -> dict[str, Any]:
+    def _table_makers(self) -> dict[str, Any]:
         return {"curve": lambda: DETECTION_CURVE_TABLE.with_rows(self.rows)}
 
 
 @dataclass(frozen=True, eq=False)
 class Injector:
-    """Recording with its adjustment, into which effects are injected."""
+    """Injector of effects into a recording, with the adjustment of the recording."""
 
     recording: Recording
     """Recording before the injection."""
     residual_space: ResidualSpace
-    """Space of the residuals of the adjusted recording, in which the noncentrality of an effect is computed."""
+    """Residuals of the adjusted recording, with the part of a change of the readings that the network's unknowns cannot
+    absorb; noncentralities are computed from it."""
 
     @property
     def adjusted_state(self) -> NetworkState:
@@ -179,7 +182,7 @@ class Injector:
     def reading_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
         """Change of the readings by an effect, shape (pointings, 3) [m, rad, rad]; 0 for effects on the noise.
 
-        `parameter_values` (parameters,) [SI] are the effect's parameters. A missing reading has a change of NaN.
+        `parameter_values` (parameters,) [SI] are the parameters of the effect. The change is NaN for a missing reading.
         """
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
@@ -191,8 +194,8 @@ class Injector:
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
-    def length_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
-        """Change of the reference lengths by an effect, shape (lengths,) [m]."""
+    def reference_length_change(self, effect: CandidateEffect, parameter_values: Floats) -> Floats:
+        """Change (lengths,) [m] of the reference lengths by an effect with parameters `parameter_values` [SI]."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
         return (
             effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjusted_state.target_points)
@@ -208,7 +211,7 @@ class Injector:
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
     def noncentrality(self, effect: CandidateEffect, parameter_values: Floats) -> float:
-        """Noncentrality of an effect in the residuals; 0 if the unknowns of the network absorb the effect."""
+        """Noncentrality of an effect with parameters `parameter_values` [SI]; 0 if the network's unknowns absorb it."""
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
             used = np.flatnonzero(space.is_used_reading)
@@ -217,7 +220,9 @@ class Injector:
             )
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, parameter_values))
-        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, parameter_values)[:, None])[:, 0]
+        whitened_change = space.whiten(
+            change[:, :, None], self.reference_length_change(effect, parameter_values)[:, None]
+        )[:, 0]
         projected_design = space.project(whitened_change)
         square = float(projected_design @ projected_design)
         return square if square > NORMAL_EQUATIONS_TOLERANCE * float(whitened_change @ whitened_change) else 0.0
@@ -225,15 +230,15 @@ class Injector:
     def scale_to_noncentrality(
         self, effect: CandidateEffect, parameter_values: Floats, noncentrality_goal: float
     ) -> Floats:
-        """Parameters (parameters,) [SI] of the effect at which it has the noncentrality `noncentrality_goal`.
+        """Parameters (parameters,) [SI] at which an effect has the noncentrality `noncentrality_goal`.
 
-        They are the start values `parameter_values` times a common factor. ModelError is raised if the unknowns of the
-        network absorb the effect.
+        The result is `parameter_values` times a scale factor. ModelError is raised if the unknowns of the network
+        absorb the effect.
         """
         if isinstance(effect, Blunder):
-            raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
+            raise ModelError(f"{effect.name} has no parameter to scale; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY * np.sqrt(noncentrality_goal)
-        for _ in range(MAX_SCALING_STEPS):
+        for _ in range(MAX_NONCENTRALITY_SCALING_STEPS):
             noncentrality = self.noncentrality(effect, factor * parameter_values)
             if not noncentrality > 0.0 or (
                 noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * noncentrality_goal
@@ -249,7 +254,7 @@ class Injector:
         )
 
     def _largest_relative_change(self, effect: CandidateEffect, parameter_values: Floats) -> float:
-        """Largest ratio of a reading's change, or of the noise added to it, to its standard deviation."""
+        """Largest ratio of the change of a reading (or of the noise added to it) to its standard deviation."""
         reading_changes = (
             self.added_noise_sigma(effect, parameter_values)
             if isinstance(effect, NoiseEffect)
@@ -266,8 +271,8 @@ class Injector:
     ) -> tuple[Recording, InjectedEffect]:
         """Recording with an injected effect, and the entry of the effect for the truth file.
 
-        `parameter_values` (parameters,) [SI] are the effect's parameters. `random_generator` draws the noise of an
-        effect on the noise.
+        `parameter_values` (parameters,) [SI] are the parameters of the effect, `effect_specification` is its text as
+        the user wrote it. `random_generator` draws the random numbers for an effect on the noise.
         """
         if isinstance(effect, NoiseEffect):
             change = self.added_noise_sigma(effect, parameter_values) * random_generator.standard_normal(
@@ -276,18 +281,18 @@ class Injector:
         else:
             change = self.reading_change(effect, parameter_values)
         injected_recording = self.recording.with_readings(self.recording.readings + change)
-        lengths = self.length_change(effect, parameter_values)
+        lengths = self.reference_length_change(effect, parameter_values)
         if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{effect_specification}: changes no reading; give measured stations or targets, after the time if "
-                "there is one"
+                f"{effect_specification}: changes no reading; give measured stations or targets, and a time before the "
+                "last of their readings"
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
             if injected_recording.setup.gauge is None or len(injected_recording.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in injected_recording.gauge.distance]) * 1e-3
-            injected_recording = with_certified_lengths(
+            injected_recording = with_certified_reference_lengths(
                 injected_recording, certified + lengths * certified / gauge.lengths
             )
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
@@ -304,5 +309,5 @@ class Injector:
         )
 
     def with_recording(self, recording: Recording) -> Self:
-        """Injector for `recording`, which has injected effects; it uses the adjustment of the original recording."""
+        """Injector for `recording`, which has injected effects already; it keeps the adjustment of this injector."""
         return replace(self, recording=recording)

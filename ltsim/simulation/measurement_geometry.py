@@ -1,4 +1,4 @@
-"""True network geometry of a scenario and its pointings in the order of measurement; several trials can share both."""
+"""True positions of the stations and targets of a scenario, and its pointings; several trials can share them."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.limits import MAX_SIMULATED_POINTINGS
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
@@ -23,9 +23,10 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
 MAX_LISTED_HIDDEN_PAIRS = 20
-"""Largest number of pairs of station and target without a line of sight that are listed one by one."""
+"""Largest number of pairs of station and target without a line of sight that are listed individually; more pairs are
+only counted."""
 MIN_HEIGHT_LEVEL_SEPARATION = 0.5
-"""Smallest height difference [m] at which two targets belong to different height levels."""
+"""Smallest gap [m] between the heights of targets that separates two height levels."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class MeasurementGeometry:
     effects: tuple[Effect, ...]
     """Effects of the scenario, in addition to the instrument's errors."""
     hidden_pair_notes: tuple[str, ...]
-    """Sentences on the pairs of station and target without a line of sight, with the reason of each pair. For more than
-    `MAX_LISTED_HIDDEN_PAIRS` pairs, one sentence with the number of pairs for each reason."""
+    """Sentences on the pairs of station and target without a line of sight, with the reason for each pair. If there are
+    more than `MAX_LISTED_HIDDEN_PAIRS` pairs, one sentence states the number of pairs for each reason."""
 
     @cached_property
     def construction(self) -> GeometricErrorModel:
@@ -56,13 +57,13 @@ class MeasurementGeometry:
 def make_measurement_geometry(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> MeasurementGeometry:
-    """True positions of a scenario and its visible pointings in the order of measurement.
+    """Measurement geometry of a scenario: drawn true positions, and pointings to the visible targets in order.
 
     `plan` is the planned layout, if it was computed before. `stream_key` selects the random draws of the positions.
-    InputError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
-    an SMR of another than the reference radius is in a nest without a normal.
+    InputError is raised if a station sees no target, a CAD file is damaged, or an effect does not exist. It is also
+    raised if a nest without a declared normal holds an SMR whose radius differs from the reference radius.
     """
-    layout = draw_layout(scenario, seed, *stream_key, plan=plan)
+    layout = draw_true_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
@@ -79,13 +80,13 @@ def make_measurement_geometry(
     )
 
 
-def draw_layout(
+def draw_true_layout(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> WorkshopLayout:
-    """True poses of stations and positions of targets: the plan with random deviations by the table `[placing]`.
+    """True poses of stations and positions of targets: the plan with random deviations from the table `[placing]`.
 
-    The gauge is displaced as a rigid body. `plan` is the planned layout, if it was computed before. Another
-    `stream_key` gives another layout.
+    The gauge (reflectors at known distances) is displaced as a rigid body. `plan` is the planned layout, if it was
+    computed before. Another `stream_key` gives another layout.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
@@ -112,7 +113,7 @@ def draw_layout(
 
 
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
-    """Sentences on pairs of station and target without a line of sight; for many pairs, their number by reason."""
+    """Sentences on pairs of station and target without a line of sight; many pairs are only counted by reason."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_HIDDEN_PAIRS:
         return tuple(lost)
@@ -124,9 +125,10 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
 def _sightings_in_measurement_order(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
-    """Pointings in the order of measurement, of targets that at least one station sees.
+    """Pointings, in the order of measurement, to all targets that at least one station sees.
 
-    Raises InputError for more than `MAX_SIMULATED_POINTINGS`.
+    `is_visible` (stations, targets) is the mask of the visible targets. InputError is raised for more than
+    `MAX_SIMULATED_POINTINGS` pointings.
     """
     n_pointings = int(is_visible.sum()) * scenario.work.faces * scenario.work.repeats
     if n_pointings > MAX_SIMULATED_POINTINGS:
@@ -174,7 +176,10 @@ def _setup_pointings(
     seed: int,
     *stream_key: str | int,
 ) -> Ints:
-    """Target, face and repeat of each pointing from one station, shape (pointings, 3), in the order of measurement."""
+    """Target index, face and repeat of each pointing from one station, shape (pointings, 3), in measurement order.
+
+    `station` is the index of the station, `is_visible` (stations, targets) the mask of the visible targets.
+    """
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
@@ -196,7 +201,7 @@ def _target_order(
     seed: int,
     *stream_key: str | int,
 ) -> Ints:
-    """Indices of the targets in the order in which a station measures them in one round."""
+    """Indices of the targets in the order in which a station measures them in the round `repeat_number`."""
     n_targets = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
         return np.arange(n_targets)
@@ -209,7 +214,7 @@ def _target_order(
 
 
 def _height_levels(heights: Floats) -> Floats:
-    """Number of the height level of each target, counted from the highest level, shape (targets,)."""
+    """Number of the height level of each target, shape (targets,); 0 is the highest level."""
     down = np.argsort(-heights, kind="stable")
     steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_HEIGHT_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))
@@ -218,7 +223,7 @@ def _height_levels(heights: Floats) -> Floats:
 
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the instrument's air sensors at the times `time` [s] by column name, rounded to 0.1 of a unit."""
+    """Readings of the instrument's air sensors at the times `time` [s], by column name, rounded to 0.1."""
     hall = scenario.workshop
     temperature = hall.temperature_c + hall.temperature_rise_c_per_h * time / 3600.0
     return {
@@ -229,7 +234,7 @@ def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
 
 
 def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, from its station, its target or the table `[smr]`; '' without a name."""
+    """Name of the SMR in each pointing, from station, target or table `[smr]`; '' for an SMR without a name."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
     places = zip(sightings.station, sightings.target, strict=True)
@@ -237,10 +242,10 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
 
 
 def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
-    """Vector from the target to the SMR's centre in each pointing, (pointings, 3) [m]; None in a scenario with one SMR.
+    """Vector from target to SMR centre in each pointing, (pointings, 3) [m]; None without declared SMR radii.
 
-    InputError is raised for an SMR without a table `[reflectors.NAME]`, for an SMR of another than the reference radius
-    in a nest without a normal, and for a missing reference radius.
+    InputError is raised for an SMR without a table `[reflectors.NAME]`, and for a missing reference radius. It is also
+    raised if a nest without a declared normal holds an SMR whose radius differs from the reference radius.
     """
     reflectors = scenario.reflectors
     if not reflectors:
@@ -249,15 +254,15 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
     if "" in names:
         target = sightings.target_names[sightings.target[names.index("")]]
         raise InputError(
-            f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
-            "[smr] names one of these reflectors"
+            f"targets.{target}.reflector is missing: name one of the tables [reflectors.NAME] here, in every station "
+            "or in [smr]"
         )
     aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
     targets_without_normal = [
         name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
     ]
-    with as_input_error():
+    with reraise_as_input_error():
         lengths = excess_radii_from_smr_names(
             names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
         )

@@ -1,9 +1,9 @@
-"""Instrument errors and effects of a scenario, with their distributions."""
+"""Instrument errors, noise and effects of a scenario, with the distributions from which the true values are drawn."""
 
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect
@@ -22,9 +22,9 @@ def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
 
 
 def planned_construction(scenario: Scenario) -> GeometricErrorModel:
-    """Instrument model for the planning of a scenario: its parameters are those that the measurements should determine.
+    """Instrument model for the planning of a scenario, whose parameters the planned measurements have to determine.
 
-    For a Denavit-Hartenberg chain with 78 parameters it is the misalignment model, which represents these parameters. A
+    For a Denavit-Hartenberg chain with 78 parameters, the misalignment model with 16 parameters replaces the chain. A
     scenario with ranges alone has only the parameters that change ranges.
     """
     built = make_scenario_construction(scenario)
@@ -39,8 +39,8 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of each tracker, both of shape (instruments, parameters) [SI].
 
-    A declared error has its declared value as mean and the standard deviation 0. InputError is raised for a declared
-    error that the instrument model does not have.
+    An error with a declared value has this value as mean, and the standard deviation 0. InputError is raised for a
+    declared error that the instrument model does not have.
     """
     laws = [
         _tracker_error_distribution(tracker, construction, name) for name, tracker in scenario.trackers_in_use.items()
@@ -53,11 +53,11 @@ def _tracker_error_distribution(
 ) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI].
 
-    `tracker_name` is the name of the tracker, for messages.
+    `tracker_name` is used in messages only.
     """
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
-        with as_input_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
+        with reraise_as_input_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
             construction.parameter_index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
@@ -67,7 +67,7 @@ def _tracker_error_distribution(
 
 
 def true_noise_sigmas(scenario: Scenario, sightings: Sightings) -> Floats:
-    """True standard deviations of the readings, (pointings, 3) [m, rad, rad]: specification times `noise_factor`."""
+    """True standard deviations of the readings, (pointings, 3) [m, rad, rad]: specified ones times `noise_factor`."""
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
@@ -84,9 +84,9 @@ def instrument_resolutions(scenario: Scenario) -> Floats:
 
 
 def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
-    """Readings (pointings, 3) rounded to multiples of `resolution`, which is (3,) or (pointings, 3) [m, rad, rad].
+    """Readings (pointings, 3) [m, rad, rad], rounded to multiples of `resolution`; 0 means no rounding.
 
-    A resolution of 0 means no rounding.
+    `resolution` has the shape (3,) or (pointings, 3).
     """
     resolution = np.broadcast_to(resolution, readings.shape)
     return np.where(
@@ -95,7 +95,7 @@ def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
 
 
 def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
-    """Effects of a scenario in the order of its file; the last is the incidence error of the reflectors, if enabled.
+    """Effects of a scenario in the order of its file, then the range error of the reflectors by incidence, if enabled.
 
     InputError is raised for an invalid entry.
     """
@@ -104,13 +104,13 @@ def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
 
 
 def incidence_error_parameters(scenario: Scenario) -> Floats:
-    """Parameters [SI] of the effect `smr-incidence` for the range errors `smr.range_error_table_um` of a scenario."""
+    """Parameters [SI] of the effect `smr-incidence` that give the range errors `smr.range_error_table_um`."""
     table = tuple(x * MICROMETRE for x in scenario.smr.range_error_table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
 def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:
-    """Catalogue effect for entry number `entry_number` of the scenario; raises InputError for an invalid entry."""
+    """Effect object for entry number `entry_number` of the effects; raises InputError for an invalid entry."""
     effect = effect_entry.effect(f"effects.{entry_number}")
     names = [p.name for p in effect.parameters]
     for name in effect_entry.values:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, as_input_error
+from ltsim.core.errors import InputError, reraise_as_input_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.dead_path import AIR_TEMPERATURE_COLUMN
 from ltsim.physics.effects.effect import Effect
@@ -22,7 +22,7 @@ from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
 from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tables
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
-    PRESETS,
+    TRACKER_PRESETS,
     CoordinateMeasuringMachine,
     EffectEntry,
     MeasurementProcedure,
@@ -39,51 +39,51 @@ from ltsim.simulation.sections import (
 
 SCENARIO_FORMAT = "ltsim-scenario/1"
 """Format and version of a scenario file."""
-MIN_TARGETS = 3
-"""Smallest number of targets in a scenario, including those of the gauge."""
+MIN_SCENARIO_TARGETS = 3
+"""Smallest number of targets in a scenario, including the reflectors of the gauge."""
 MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge", "air",
 )  # fmt: skip
-"""Keys that are written to the file of a scenario even with their default values."""
-REMOVAL_VALUE = "none"
-"""Value that removes a key from the scenario, as in ``gauge = "none"``."""
+"""Keys that are written to a scenario file even if they have their default values."""
+KEY_REMOVAL_VALUE = "none"
+"""Value that removes a key from a scenario, as in ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
-    """Scenario of a simulation, with the content of its file."""
+    """Scenario of a simulation: all its inputs except the seed, with the content of the scenario file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
     """Format and version of this file."""
     title: str = ""
     """Title of the scenario, free text."""
     base: str | None = None
-    """Built-in scenario that supplies tables and keys that are missing in this file; the value "none" removes a key or
-    table of that scenario."""
+    """Built-in scenario that supplies missing tables and keys; the value "none" for a key removes that of the scenario.
+    """
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
-    """Standard deviations of the true positions from the planned ones."""
+    """Standard deviations of true minus planned positions."""
     instrument: ScenarioInstrument = ScenarioInstrument()
-    """Tracker of all stations that name no other tracker."""
+    """Tracker of all stations that name no tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Several trackers by name, tables `[instruments.NAME]`; all have the same instrument model."""
+    """Trackers with names, tables `[instruments.NAME]`, which stations refer to; all have the same instrument model."""
     smr: Smr = Smr()
     """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. The SMR's
-    centre is displaced along the nest's normal. True radii are drawn together with the positions.
-    """
+    """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. An SMR whose
+    radius differs from the reference radius is displaced along the normal of its nest. True radii are drawn."""
     reference_radius_mm: NonNegative | None = None
-    """Radius of the SMR whose centre is at the planned position, 0 for nest seats; it is copied to `setup.toml`."""
+    """Radius of the SMR whose centre the planned positions describe; 0 if they describe the nest seats. The recording's
+    `setup.toml` contains a copy."""
     cmm: CoordinateMeasuringMachine = CoordinateMeasuringMachine()
     """Coordinate measuring machine that calibrated the gauge."""
     work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
-    """Gauge, a rigid frame whose lengths between reflectors are reference lengths."""
+    """Gauge, a rigid frame of reflectors at known distances (reference lengths); None for a scenario without gauge."""
     materials: dict[str, Material] = Field(default_factory=dict)
     """Materials of reference lengths, tables `[materials.NAME]`; their true expansion coefficients are drawn."""
     lengths: tuple[ReferenceLengthEntry, ...] = ()
@@ -93,7 +93,8 @@ class Scenario(TomlSection, Result):
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air's state that the recording declares, a table `[air]`; it does not change readings."""
+    """Uncertainty of the air along the beams, as the recording declares it (table `[air]`); it does not change
+    readings."""
     effects: tuple[EffectEntry, ...] = ()
     """Effects that change the readings in addition to the instrument's errors, tables `[[effects]]`."""
 
@@ -109,10 +110,10 @@ class Scenario(TomlSection, Result):
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
     def stations_of_tracker(self, tracker: str) -> tuple[str, ...]:
-        """Names of the stations where the tracker named `tracker` stands."""
+        """Names of the stations at which the tracker named `tracker` stands."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         faces = "two faces" if self.work.faces == 2 else "one face"
         effects = ", ".join(entry.name for entry in self.effects) or "no effects"
@@ -124,20 +125,20 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Built-in scenario with this name, or scenario in a file or in the folder of a plan; raises InputError."""
+    """Built-in scenario with the given name, or scenario in a file or in the folder of a plan; raises InputError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
-    with as_input_error():
+    with reraise_as_input_error():
         data = read_toml(path, "scenario")
     return validate_scenario(data, path)
 
 
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
-    with as_input_error():
+    with reraise_as_input_error():
         completed_tables = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(completed_tables, Scenario, "scenario", file)
     _check_scenario(scenario, file)
@@ -145,24 +146,24 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
-    """Validated scenario with the new values `changes` by dotted key; errors name `file` and `error_location`.
+    """Validated scenario with new values `changes` by dotted key; errors name `file` and `error_location`.
 
     A new `preset` of a tracker also sets the noise, prior and limits of the tracker. InputError is raised for an
     invalid key or value.
     """
     # Validated twice: the tables with the changes, and the file that would be written from the result.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    of_presets = sorted({section for sections in PRESETS.values() for section in sections})
+    of_presets = sorted({section for sections in TRACKER_PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
-        _set_key(table, key, _file_value(value, effects=key == "effects"), error_location or str(file))
+    for key, value in [*((key, KEY_REMOVAL_VALUE) for key in brought), *changes.items()]:
+        _set_key(table, key, _toml_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
 
-def _file_value(value: Any, *, effects: bool) -> Any:
-    """Value of a key in the form of the file; if `effects` is true, effect objects and names become tables."""
+def _toml_value(value: Any, *, effects: bool) -> Any:
+    """Value of a key as in a TOML file; if `effects` is true, effect objects and names of effects become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -175,7 +176,7 @@ def _file_value(value: Any, *, effects: bool) -> Any:
 def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
     """Assignment of a value to one dotted key in nested tables.
 
-    Entries of lists are numbered from 1. The value `REMOVAL_VALUE` removes the key.
+    Entries of lists are numbered from 1. The value `KEY_REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
     subtable: Any = table
@@ -185,24 +186,24 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
         else:
             subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
         if not isinstance(subtable, (dict, list)):
-            through = f"{safe_excerpt(key)} goes through {safe_excerpt(name)}"
+            through = f"{safe_excerpt(key)} contains the part {safe_excerpt(name)}"
             raise InputError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(subtable, dict):
         wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
         raise InputError(f"{error_location}: {safe_excerpt(key)} is not a key of a list entry; expected {wanted}")
-    if value == REMOVAL_VALUE:
+    if value == KEY_REMOVAL_VALUE:
         subtable.pop(last, None)
     else:
         subtable[last] = value
 
 
 def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """TOML tables of a scenario, completed by the tables of the built-in scenario that its key `base` names."""
+    """TOML tables of a scenario, completed by those of the built-in scenario that the key `base` names."""
     if tables.get("base") is None:
         return tables
     below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
     merged_tables = merge_defaults(tables, below)
-    return {key: value for key, value in merged_tables.items() if key != "base" and value != REMOVAL_VALUE}
+    return {key: value for key, value in merged_tables.items() if key != "base" and value != KEY_REMOVAL_VALUE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -211,17 +212,17 @@ def _with_preset(instrument: Any, file: Path) -> Any:
         return instrument
     name = instrument.get("preset")
     if name not in data_sheet_names():
-        return merge_defaults(instrument, PRESETS.get(str(name), {}))
-    with as_input_error(f"{file}: instrument.preset"):
+        return merge_defaults(instrument, TRACKER_PRESETS.get(str(name), {}))
+    with reraise_as_input_error(f"{file}: instrument.preset"):
         below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
 
 
 def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario reduced to ``work.stations`` stations and ``work.targets`` targets off the gauge; errors name `file`.
+    """Scenario reduced to ``work.stations`` stations and to ``work.targets`` targets that are not on the gauge.
 
     Excluded stations and targets are removed from effects, and trackers without a station are removed. InputError is
-    raised if more are requested than exist, or if fewer than three targets remain.
+    raised if too many are requested, or if fewer than three targets remain.
     """
     work = scenario.work
     for key in ("stations", "targets"):
@@ -233,8 +234,8 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
     stations = dict(list(scenario.stations.items())[: work.stations])
     targets = scenario.targets if work.targets is None else _select_spread_targets(scenario.targets, work.targets)
     gauge = scenario.gauge.targets if scenario.gauge else ()
-    if len(targets) + len(gauge) < MIN_TARGETS:
-        least = MIN_TARGETS - len(gauge)
+    if len(targets) + len(gauge) < MIN_SCENARIO_TARGETS:
+        least = MIN_SCENARIO_TARGETS - len(gauge)
         raise InputError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
@@ -251,7 +252,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """Effects restricted to the remaining `stations` and `targets`; an effect that acts at none of them is omitted."""
+    """Effects restricted to the remaining `stations` and `targets`, without those that act at none of them."""
     for entry in effects:
         here = tuple(name for name in entry.stations if name in stations)
         at = tuple(name for name in entry.targets if name in targets)
@@ -267,7 +268,7 @@ def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int)
 
 
 def space_filling_order(points: Floats) -> list[int]:
-    """Indices of points (points, 3) in an order that fills the hall evenly: each is farthest from the previous ones."""
+    """Indices of points (points, 3) in an order in which each point is as far as possible from all previous ones."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):
@@ -306,7 +307,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
 
 
 def unknown_name_sentences(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
-    """Sentence if `name`, the value of `key`, is not in `names`; `list_text_if_empty` replaces an empty list."""
+    """Sentence if `name`, the value of `key`, is not one of `names`; `list_text_if_empty` replaces an empty list."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{safe_excerpt(name)}', which is not one of {listed or list_text_if_empty}"
@@ -316,19 +317,19 @@ def _invalid_name_sentences(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
-    if len(names) < MIN_TARGETS:
-        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
+    if len(names) < MIN_SCENARIO_TARGETS:
+        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_SCENARIO_TARGETS}"
     for name, count in Counter(names).items():
         if count > 1:
             yield f"gauge.targets names '{safe_excerpt(name)}' twice, or it is also a table of [targets]"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
-            with as_input_error():
+            with reraise_as_input_error():
                 SourceLocation(file).checked_name(name, kind)
 
 
 def _invalid_tracker_sentences(scenario: Scenario) -> Iterator[str]:
-    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different designs."""
+    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different models."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:

@@ -1,4 +1,4 @@
-"""TOML tables of a scenario file (ltsim-scenario/1). The names of keys contain units; other modules convert to SI."""
+"""TOML tables of a scenario file (ltsim-scenario/1), with units in the names of their keys (`position_mm`)."""
 
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -28,17 +28,16 @@ from ltsim.recordings.specification import data_sheet_names
 AngleDegrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 """Rotation or direction [deg]."""
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
-"""Standard deviation of a reference length [um], with the lower bound that a set-up file has."""
+"""Standard deviation of a reference length [um]; its smallest permitted value is the one for a set-up file."""
 Percentage = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 """Percentage, 0 to 100."""
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 """Temperature [deg C] of a hall or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Prior of the tracker of Sensors 2021, 21, 7479. Errors drawn from it nearly reproduce the errors before calibration
-in Table 3 there: the means of the two criteria are 48 and 24 um (experiment 01), and 46 and 29 um in the table."""
+"""Prior of the tracker of Sensors 2021, 21, 7479, with which the criteria before calibration resemble its Table 3."""
 
-PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
+TRACKER_PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
         "paper": {},
         "modern": {
@@ -51,15 +50,15 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Named instruments, as changes of the defaults below. `paper`: the tracker of Sensors 2021, 21, 7479, with half of the
-specified 3.5 um/m across the beam and an ADM better than 15 um. `modern`: a current tracker with half of its maker's
-limits and the ranges of the rated conditions of a FARO Vantage E (0.1 to 35 m, from its calibration certificates).
-`after-transport`: `paper` after a mechanical shock."""
+"""Named instruments, as changes of the defaults below. `paper`: the tracker of Sensors 2021, 21, 7479; its angle noise
+is half of the specified 3.5 um/m across the beam, its ADM better than 15 um. `modern`: a current tracker with half of
+its maker's limits and the measuring range of a FARO Vantage E (0.1 to 35 m, rated conditions of its calibration
+certificates). `after-transport`: `paper` after a mechanical shock."""
 
 
 def _existing_preset(preset_name: str) -> str:
-    if preset_name not in PRESETS and preset_name not in data_sheet_names():
-        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
+    if preset_name not in TRACKER_PRESETS and preset_name not in data_sheet_names():
+        raise ValueError(f"it should be {', '.join(TRACKER_PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
     return preset_name
 
 
@@ -71,13 +70,12 @@ class Obstacle(TomlSection):
     file: str | None = None
     """Path of an STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None
-    """Unit of the file's coordinates; default metres for glTF, the declared unit for STEP and IGES,
-    else millimetres.
+    """Unit of the file's coordinates; default metres for glTF, the declared unit for STEP and IGES, else millimetres.
     """
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """True if the obstacle may extend beyond the hall or below its floor; if false, such an obstacle is an error."""
+    """True if the obstacle may extend beyond the hall or below its floor; if false, an obstacle outside is an error."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box, in place of a CAD file."""
     cylinder_mm: tuple[Positive, Positive] | None = None
@@ -100,9 +98,9 @@ class Workshop(TomlSection):
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
     """Width, depth and height of the hall; a corner is the origin, z is up."""
     temperature_c: Celsius = 20.0
-    """Temperature of the air at the start."""
+    """Temperature of the air at the start of the recording."""
     temperature_rise_c_per_h: Finite = 0.0
-    """Rate at which the temperature of the air rises."""
+    """Rate [deg C per hour] at which the temperature of the air rises."""
     pressure_hpa: Annotated[float, Field(ge=300, le=1200)] = 1013.2
     """Pressure of the air."""
     humidity_pct: Percentage = 50.0
@@ -116,12 +114,12 @@ class Workshop(TomlSection):
 
 
 class PlacingSigmas(TomlSection):
-    """Standard deviations of the true positions from the plan, and steps to which the recording rounds the plan."""
+    """Standard deviations of true minus planned positions, and steps to which the recording's plan is rounded."""
 
     station_mm: NonNegative = 15.0
     """Standard deviation of each coordinate of a station."""
     yaw_deg: NonNegative = 0.4
-    """Standard deviation of a station's rotation about the vertical, and of the gauge's rotation."""
+    """Standard deviation of the rotation about the vertical, of each station and of the gauge."""
     tilt_deg: NonNegative = 0.05
     """Standard deviation of a station's tilt about each horizontal axis."""
     target_mm: NonNegative = 4.0
@@ -168,19 +166,19 @@ class ScenarioInstrument(TomlSection):
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Instrument model that generates the readings: misalignments, Denavit-Hartenberg chain, or steering mirror."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Number of harmonics of each joint error of the `dh` chain."""
+    """Number of harmonics in the error of each rotary axis of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range, by which the `dh` chain models errors of its linear joint."""
+    """Degree of the polynomials in the range that describe the errors of the range axis of the `dh` chain."""
     corrected: bool = False
-    """True if the instrument corrects its readings for its known errors."""
+    """True if the recording declares that the instrument corrects its readings for its errors."""
     noise: Noise = Noise()
-    """Specified standard deviations of the readings; the recording declares them."""
+    """Specified standard deviations of the readings, which the recording declares."""
     noise_factor: NonNegative = 1.0
     """Ratio of the true to the specified standard deviations of the readings."""
     resolution: Resolution = Resolution()
     """Steps to which the readings are rounded."""
     prior: Prior = PAPER_PRIOR
-    """Specified standard deviations of the instrument's errors; the true errors are drawn with them."""
+    """Specified standard deviations of the instrument's errors; true errors are drawn with these."""
     limits: PointingLimits = PointingLimits()
     """Limits of elevation and range within which the tracker can point."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
@@ -190,12 +188,13 @@ class ScenarioInstrument(TomlSection):
     )
     """Observables of each pointing; `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
-    """True errors by parameter name, in display units (`ltsim effects`); with `draw = true` the errors not given here
-    are drawn."""
+    """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the errors not given here.
+    """
     error_factor: NonNegative = 1.0
-    """Ratio of the standard deviations with which errors are drawn to those of the prior."""
+    """Factor on the standard deviations of `prior` with which the true errors are drawn."""
     prior_factor: Positive = 1.0
-    """Ratio of the prior that the recording declares to `prior`; values other than 1 simulate a wrong specification."""
+    """Factor on the standard deviations of `prior` as the recording declares them; another value than 1 is a wrong
+    prior."""
 
     @model_validator(mode="after")
     def _check_error_value_types(self) -> Self:
@@ -206,7 +205,7 @@ class ScenarioInstrument(TomlSection):
 
     @property
     def draws_errors(self) -> bool:
-        """True if the instrument errors without a given value are drawn."""
+        """True if the instrument errors without a declared value are drawn."""
         return self.errors.get("draw") is True
 
 
@@ -216,33 +215,32 @@ class Smr(TomlSection):
     nest_orientation: Literal["re-aimed", "fixed"] = "re-aimed"
     """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
-    """Largest incidence angle at which the beam is returned."""
+    """Largest incidence angle at which the reflector returns the beam."""
     reflector: str | None = None
-    """Name of the SMR for pointings whose station and target name no SMR."""
+    """Name of the SMR for all pointings for which neither the station nor the target names one."""
     incidence_error: bool = False
-    """True for reflectors with the incidence error of `range_error_table_um`."""
+    """True if the range error of the reflectors depends on the incidence angle, as in `range_error_table_um`."""
     range_error_table_um: Annotated[
         tuple[Finite, ...], Field(min_length=len(INCIDENCE_TABLE_ANGLES), max_length=len(INCIDENCE_TABLE_ANGLES))
     ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_INCIDENCE_RANGE_ERRORS)
-    """Range errors at the incidence angles -30, -22.5, ... +30 deg."""
+    """Range errors at the incidence angles -30, -22.5, ... +30 deg (nine values)."""
     direction_deg: AngleDegrees = 0.0
-    """Direction of positive incidence angles of the table: rotation about the nest's normal from the horizontal."""
+    """Direction in which the incidence angles of the table are positive, as a rotation about the nest's normal."""
 
 
 class CoordinateMeasuringMachine(TomlSection):
-    """Coordinate measuring machine with the maximum permissible error constant_um + L / length_divisor_mm [um]."""
+    """Coordinate measuring machine; its maximum permissible error is constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
     """Constant part of the maximum permissible error."""
     length_divisor_mm: Positive = 300.0
-    """Divisor of the length L in the maximum permissible error."""
+    """Divisor of the measured length L in the maximum permissible error."""
     coverage_factor: Positive = 2.0
     """Ratio of the maximum permissible error to the standard deviation of a measured length."""
     noise_factor: NonNegative = 1.0
     """Ratio of the true to the specified standard deviation of a measured length."""
     measures_targets: bool = False
-    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes their coordinates for
-    `ltsim verify`."""
+    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes these coordinates."""
 
 
 class MeasurementProcedure(TomlSection):
@@ -251,12 +249,11 @@ class MeasurementProcedure(TomlSection):
     stations: Annotated[int, Field(ge=1)] | None = None
     """Number of stations in use, in the order of the file; default all."""
     targets: Annotated[int, Field(ge=0)] | None = None
-    """Number of measured reflectors off the gauge (those of the gauge are always measured). The selection is as widely
-    distributed as possible, and contains every smaller selection. Default all."""
+    """Number of measured reflectors, without those of the gauge, which are always measured; default all. The selected
+    reflectors are as widely distributed as possible, and include every smaller selection."""
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
-    """Order of the reflectors at each station: random, by height from the highest level to the lowest, or as in the
-    file."""
+    """Order of the reflectors at each station: random, by height from the highest level down, or as in the file."""
     faces: Literal[1, 2] = 1
     """Number of faces in which each target is measured."""
     face_order: Literal["per-target", "per-station"] = "per-target"
@@ -264,13 +261,13 @@ class MeasurementProcedure(TomlSection):
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
     """Number of rounds at each station; each round points once at every target in each face."""
     seconds_per_pointing: Positive = 15.0
-    """Time from one pointing to the next."""
+    """Time from the start of a pointing to the start of the next."""
     minutes_per_move: NonNegative = 20.0
     """Time to move the instrument to the next station."""
 
 
 class GaugeLength(TomlSection):
-    """True length between two targets of the gauge, at the calibration temperature."""
+    """True length between two targets of the gauge, at the temperature `calibrated_at_c` of the gauge."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
@@ -281,20 +278,21 @@ class GaugeLength(TomlSection):
 
 
 class ScenarioGauge(TomlSection):
-    """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
+    """Gauge, a rigid frame of reflectors at known distances: its lengths and its pose in the hall.
 
     By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
     longest extents. The frame is rotated by roll, pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
-    """Names of the reflectors of the gauge."""
+    """Names of the reflectors of the gauge (rigid frame of reflectors at known distances)."""
     table_reading_order: Literal["columns", "rows"] = "columns"
     """Order in which Table 2 of Sensors 2021, 21, 7479 is read, because the printed table is misaligned."""
     distance: tuple[GaugeLength, ...] = ()
-    """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default: Sensors 2021, 21, 7479."""
+    """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default the lengths of Sensors 2021, 21,
+    7479."""
     position_mm: Vector
-    """Planned position of the centre of the gauge."""
+    """Planned position of the centre of the gauge in the hall."""
     yaw_deg: AngleDegrees = 0.0
     """Rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
     pitch_deg: AngleDegrees = 0.0
@@ -302,19 +300,20 @@ class ScenarioGauge(TomlSection):
     roll_deg: AngleDegrees = 0.0
     """Rotation of the gauge about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     nest_normal: Vector | None = None
-    """Normal of the fixed nests of the gauge."""
+    """Normal of the fixed nests of the gauge, in the axes of the hall."""
     calibrated_at_c: Celsius = 20.0
     """Temperature at which the gauge was calibrated."""
     measured_at_c: Celsius | None = None
-    """Temperature of the gauge that the recording declares; default the temperature of the air."""
+    """Temperature of the gauge during the measurements, as the recording declares it; default the temperature of the
+    air."""
     expansion_per_k: Finite = 23.2e-6
-    """Coefficient of thermal expansion of the gauge that the recording declares."""
+    """Coefficient of thermal expansion of the gauge, as the recording declares it."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the expansion coefficient, with which its true value is drawn."""
+    """Standard deviation of the declared expansion coefficient; the true coefficient is drawn with it."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the declared temperature, with which the true temperature is drawn."""
+    """Standard deviation of the declared temperature of the gauge; the true temperature is drawn with it."""
     sigma_um: LengthSigma | None = None
-    """Standard deviation of each length; by default computed from the measuring machine's maximum permissible error."""
+    """Standard deviation of each length; default by the maximum permissible error of the measuring machine."""
 
 
 class ReferenceLengthEntry(LengthMaterialAndTemperature):
@@ -342,7 +341,7 @@ class PlannedStation(TomlSection):
     levelled: bool = False
     """True if the tracker's standing axis is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
-    """Standard deviation of the standing axis' tilt about each horizontal axis after levelling."""
+    """Standard deviation, after levelling, of the tilt of the standing axis about each horizontal axis."""
     instrument: str | None = None
     """Name of the tracker at this station, a table `[instruments.NAME]`; default `[instrument]`."""
     reflector: str | None = None
@@ -350,20 +349,20 @@ class PlannedStation(TomlSection):
 
 
 class PlannedTarget(TomlSection):
-    """Planned reflector position."""
+    """Planned position of a reflector, and its nest."""
 
     position_mm: Vector
     """Planned position of the reflector's centre."""
     nest_normal: Vector | None = None
     """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
-    """True if the reflector is turned towards each station; default by `smr.nest_orientation`."""
+    """True if the reflector is turned towards each station before it is measured; default by `smr.nest_orientation`."""
     reflector: str | None = None
     """Name of the SMR at this target, a table `[reflectors.NAME]`; default `smr.reflector`."""
 
 
 class PlacedEffect(TomlSection):
-    """Effect of the catalogue, with the stations and targets where it acts and the fixed constants of its formula."""
+    """Effect of the catalogue, with the stations and targets where it acts and with its shape parameters."""
 
     name: str
     """Name of the effect, as listed by `ltsim effects`."""
@@ -372,11 +371,11 @@ class PlacedEffect(TomlSection):
     targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Fixed constants of the effect's formula by name, such as a time constant, in display units if the effect declares
-    them, otherwise in SI units."""
+    """Shape parameters of the effect (period, time constant, onset time) by name; in display units if the effect
+    declares them, otherwise in SI units."""
 
     def effect(self, error_location: str) -> Effect:
-        """Effect object of this entry; InputError, whose message begins with `error_location`, for an invalid value."""
+        """Effect object of this entry; InputError beginning with `error_location` for an invalid value."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
@@ -384,16 +383,16 @@ class PlacedEffect(TomlSection):
 
 
 class EffectEntry(PlacedEffect):
-    """Effect of a scenario in addition to the instrument's errors: name, stations, targets and parameter values."""
+    """Effect in a scenario, in addition to the instrument's errors: name, stations, targets and parameter values."""
 
     draw: bool = False
-    """True if the parameters without a given value are drawn with their plausible sizes; if false they are 0."""
+    """True if the parameters without a given value are drawn from their priors; if false they are 0."""
     values: dict[str, Finite] = Field(default_factory=dict)
     """Values of the effect's parameters by name, in display units."""
 
     @classmethod
     def from_effect(cls, source: Effect | SizedEffect) -> Self:
-        """Entry of an effect object; its parameters are drawn if the object has no sizes."""
+        """Entry of an effect object; its parameters are drawn if the object has no parameter values."""
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values_in_display_units)
         places = {"stations": effect.stations, "targets": effect.targets}

@@ -38,7 +38,8 @@ from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArra
 from ltsim.simulation.workshop import cmm_length_sigmas, measure_points_by_cmm
 
 GeometrySharing = Literal["shared", "per-trial"]
-"""Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
+"""Use of true positions by the trials: `shared` for one draw of all positions, `per-trial` for a separate draw per
+trial."""
 
 
 def simulate(
@@ -46,13 +47,14 @@ def simulate(
 ) -> tuple[Recording, Truth]:
     """Recording and true values of trial number `trial` of a scenario; a campaign with this seed has the same trial.
 
-    InputError is raised for an impossible scenario.
+    `geometry` selects true positions that all trials share, or a separate draw for each trial. InputError is raised for
+    an impossible scenario.
     """
-    return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
+    return measure_trial(make_measurement_geometry(scenario, seed, *position_stream_key(trial, geometry)), seed, trial)
 
 
-def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
-    """Key of the random stream for the positions of a trial: one key for all trials, or a key for each trial."""
+def position_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
+    """Key of the random stream for true positions: one key for all trials (`shared`) or one per trial."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
@@ -79,12 +81,12 @@ def measure_trial(
         tuple(amount[:, 0] for amount in drawn.effect_values),
     )
     readings = simulate_readings(geometry, true_instrument_errors, amounts, drawn.reading_errors[:, :, 0])
-    recording = with_certified_lengths(blank.with_readings(readings), drawn.certified_lengths[:, 0])
+    recording = with_certified_reference_lengths(blank.with_readings(readings), drawn.certified_lengths[:, 0])
     return recording, _truth_of_trial(geometry, true_instrument_errors, amounts, seed, trial_number)
 
 
 def error_free_recording(geometry: MeasurementGeometry) -> Recording:
-    """Recording of a tracker without errors and noise, with exact certificates, and with the declared set-up."""
+    """Recording with the declared set-up, but of a tracker without errors and noise, and with exact certificates."""
     s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare_recording = Recording(
@@ -100,28 +102,28 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
         covariates=s.covariates,
         labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )
-    blank = with_exact_lengths(bare_recording, geometry)
+    blank = with_exact_reference_lengths(bare_recording, geometry)
     return blank.replace(
         notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
     )
 
 
 def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Recording) -> TrialDistributions:
-    """Distributions of the random values of trials at given true positions.
+    """Distributions of the random values of trials at the true positions of `geometry`.
 
-    `error_free_recording` is the recording at these positions without errors.
+    `error_free_recording` is the recording without errors at these positions.
     """
     scenario = geometry.scenario
     mean, sigma = instrument_error_distribution(scenario, geometry.construction)
     return TrialDistributions(
         sightings=geometry.sightings,
         construction=geometry.construction,
-        instruments=tuple(scenario.trackers_in_use),
-        instrument_means=mean,
-        instrument_sigmas=sigma,
+        instrument_names=tuple(scenario.trackers_in_use),
+        instrument_error_means=mean,
+        instrument_error_sigmas=sigma,
         noise_sigmas=true_noise_sigmas(scenario, geometry.sightings),
         reference_lengths=ReferenceLengths.from_recording(error_free_recording),
-        length_end_names=error_free_recording.targets,
+        length_target_names=error_free_recording.targets,
         effects=effect_distributions(scenario, geometry.effects),
         certificate_error_factor=scenario.cmm.noise_factor,
     )
@@ -130,7 +132,7 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
 def simulate_readings(
     geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], noise: Floats
 ) -> Floats:
-    """Raw readings with noise and rounding, shape (pointings, 3); NaN for observables that are not recorded.
+    """Raw readings with noise and rounding, shape (pointings, 3) [m, rad, rad]; NaN for observables not recorded.
 
     `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect, and `noise` (pointings, 3) [m, rad, rad] is added to the readings.
@@ -147,7 +149,7 @@ def simulate_readings(
 
 
 def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...]) -> Floats:
-    """Raw readings without noise, shape (pointings, 3), of trackers with errors; each effect changes the readings.
+    """Raw readings without noise, shape (pointings, 3) [m, rad, rad], of trackers with errors and with the effects.
 
     `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_values` are the parameters [SI]
     of each effect.
@@ -164,25 +166,27 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_val
 
 
 def occurring_blunders(effects: Sequence[Effect], effect_values: Sequence[Floats]) -> list[Blunder]:
-    """Blunders among `effects` that occur in a trial: their first parameter in `effect_values` is not 0."""
+    """Blunders among `effects` that occur in a trial, that is, whose first parameter in `effect_values` is not 0."""
     return [e for e, made in zip(effects, effect_values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
-    """Notes on effects that change no reading, because the recording lacks a column, a time or a nest normal."""
+    """Notes on effects of the scenario that change no reading, for example because the recording has no times."""
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
 def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
+    """Sentence on each effect that changes neither a reading nor a reference length."""
     for effect in geometry.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(geometry.sightings)):
             continue
         if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, geometry.sightings.target_points)):
             continue
-        yield f"{effect.name} changes no reading here"
+        yield f"{effect.name} changes no reading of this recording"
 
 
 def _declared_setup(geometry: MeasurementGeometry) -> Setup:
+    """Set-up file of the recording: what the simulated user declares about instruments, stations and targets."""
     scenario, step = geometry.scenario, geometry.scenario.placing
     stations = {
         name: Station(
@@ -207,6 +211,7 @@ def _declared_setup(geometry: MeasurementGeometry) -> Setup:
 
 
 def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
+    """Declared noise, prior and limits of a tracker."""
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
@@ -217,17 +222,20 @@ def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
 
 
 def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
+    """Prior that the recording declares: the tracker's prior with standard deviations times `prior_factor`."""
     kinds = tracker.prior.model_dump()
     sigma_by_parameter = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=sigma_by_parameter)
 
 
 def _rounded_position(position: Vector, rounding_step: float) -> Vector:
+    """Position with coordinates rounded to multiples of `rounding_step`, in the unit of the position."""
     x, y, z = (rounding_step * round(value / rounding_step) for value in position)
     return x, y, z
 
 
 def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
+    """Declared nest normal, aiming and SMR of each target, by name of the target."""
     scenario, s = geometry.scenario, geometry.sightings
     table = {}
     for i, name in enumerate(s.target_names):
@@ -243,6 +251,7 @@ def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
 def _truth_of_trial(
     geometry: MeasurementGeometry, instrument: Floats, effect_values: tuple[Floats, ...], seed: int, trial: int
 ) -> Truth:
+    """True values of a trial as the content of the truth file."""
     s, scenario = geometry.sightings, geometry.scenario
     trackers = scenario.trackers_in_use
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
@@ -269,11 +278,8 @@ def _truth_of_trial(
     return Truth.from_arrays(arrays, s.station_names, s.target_names, units, **settings, **noise)
 
 
-def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
-    """Recording with reference lengths that equal the true distances between the reflectors, and their declarations.
-
-    The certificates have no error.
-    """
+def with_exact_reference_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
+    """Recording with declared reference lengths that equal the true distances between the reflectors."""
     scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
     if gauge is None and not scenario.lengths:
@@ -296,13 +302,13 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     )
     by_machine = cmm_length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
-    return with_certified_lengths(blank, certified, sigma)
+    return with_certified_reference_lengths(blank, certified, sigma)
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """Declarations of the reference lengths of gauge and scale bars, and the declared standard deviation [um] of each.
+    """Declaration of each reference length (gauge and scale bars), and its declared standard deviation [um] or None.
 
-    A standard deviation is None if none is declared. The lengths are placeholders of 1 mm.
+    The lengths are placeholders of 1 mm.
     """
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:
@@ -314,12 +320,12 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def with_certified_lengths(
+def with_certified_reference_lengths(
     recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
 ) -> Recording:
-    """Recording whose reference lengths at calibration are replaced by `reference_lengths` (lengths,) [m].
+    """Recording with new declared reference lengths at the calibration temperature, `reference_lengths` (lengths,) [m].
 
-    `sigma` [m] replaces their standard deviations, if given.
+    `sigma` (lengths,) [m], if given, replaces the standard deviations of the lengths.
     """
     if recording.setup.gauge is None:
         return recording

@@ -38,7 +38,7 @@ TRUE_POINTS_TABLE = Table(
 
 @dataclass(frozen=True)
 class AppliedEffect(ValueEquality):
-    """Effect that a simulation applied, with the true values of its parameters."""
+    """Effect that was applied in a simulation, with the true values of its parameters."""
 
     effect: Effect
     """Effect of the catalogue, with the stations and targets where it acts."""
@@ -61,19 +61,19 @@ class TruthArrays(ValueEquality):
     effects: tuple[AppliedEffect, ...] = ()
     """Effects that the simulation applied, in addition to the instrument's parameters."""
     nominal_points: Floats | None = None
-    """Coordinates of the targets from the measuring machine, shape (targets, 3) [m]; None without a measuring machine.
-    """
+    """Coordinates of the targets as measured by a coordinate measuring machine, shape (targets, 3) [m]; None without
+    one."""
 
 
 def _checked_unit(unit: str) -> str:
-    """Unit unchanged, after a check that it is known; raises ValueError."""
+    """Unit `unit`, unchanged; ValueError for a text that is not a known unit."""
     if unit not in SI_PER_UNIT:
         raise ValueError(f"'{safe_excerpt(unit)}' is not a unit, expected one of {permitted_units_text()}")
     return unit
 
 
 class TrackerTruth(Entry):
-    """Tracker with a name: its stations and its noise, in a truth file."""
+    """Entry of a truth file for a tracker with a name: its stations and its noise."""
 
     name: str
     """Name of the instrument in the set-up."""
@@ -84,7 +84,7 @@ class TrackerTruth(Entry):
 
 
 class TrueParameterValue(Entry):
-    """True value of a parameter of an instrument or effect, in a truth file."""
+    """Entry of a truth file for a parameter of an instrument or effect, with its true value."""
 
     name: str
     """Name of the parameter."""
@@ -95,19 +95,19 @@ class TrueParameterValue(Entry):
 
     @property
     def si_value(self) -> float:
-        """True value [SI]."""
+        """True value of the parameter in SI units."""
         return self.value * SI_PER_UNIT[self.unit]
 
 
 class TrueInstrumentValue(TrueParameterValue):
-    """True value of an instrument's parameter, in a truth file."""
+    """Entry of a truth file for a parameter of an instrument, with its true value."""
 
     instrument: str = ""
-    """Name of the instrument; empty for a single unnamed one."""
+    """Name of the instrument; empty for a single instrument without a name."""
 
     @classmethod
     def from_si(cls, parameter_name: str, si_value: float, unit: str) -> Self:
-        """Entry for the value `si_value`; `parameter_name` ends in ``@`` and the instrument's name if it has one."""
+        """Entry with the value `si_value` in `unit`; `parameter_name` may be ``PARAMETER@INSTRUMENT``."""
         name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=si_value / SI_PER_UNIT[unit], unit=unit, **whose)
@@ -119,7 +119,7 @@ class TrueInstrumentValue(TrueParameterValue):
 
 
 class TrueEffect(Entry):
-    """Effect of the catalogue that the simulation applied, in a truth file."""
+    """Entry of a truth file for an effect of the catalogue that the simulation applied."""
 
     name: str = Field(alias="effect")
     """Name of the effect in the catalogue."""
@@ -128,14 +128,14 @@ class TrueEffect(Entry):
     targets: tuple[str, ...] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Fixed constants of the effect's formula by name, such as a time constant, in display units if the effect declares
-    them, otherwise in SI units."""
+    """Shape parameters of the effect (period, time constant, onset time) by name; in display units if the effect
+    declares them, otherwise in SI units."""
     parameters: tuple[TrueParameterValue, ...] = ()
     """True values of the parameters of the effect."""
 
     @classmethod
     def from_applied_effect(cls, applied_effect: AppliedEffect) -> Self:
-        """Entry of the file for an applied effect."""
+        """Entry of a truth file for an applied effect."""
         effect, values = applied_effect.effect, applied_effect.parameter_values.tolist()
         return cls(
             effect=effect.name,
@@ -158,7 +158,7 @@ class TrueEffect(Entry):
 
 
 class TruePoint(Entry):
-    """True position of a point."""
+    """Entry of a truth file for a point, with its true position."""
 
     name: str
     """Name of the point."""
@@ -167,7 +167,7 @@ class TruePoint(Entry):
 
 
 class TruePose(TruePoint):
-    """True pose of a station."""
+    """Entry of a truth file for a station, with its true pose."""
 
     rotation_quaternion: Quaternion
     """Rotation from instrument to hall, as a unit quaternion x, y, z, w."""
@@ -192,7 +192,7 @@ class Truth(ResultFile):
     effects: tuple[TrueEffect, ...] = ()
     """Effects that the simulation applied, in addition to the errors of the instruments."""
     noise_factor: Finite = 1.0
-    """Ratio of the true to the declared standard deviations of the readings, for a tracker without a name."""
+    """Ratio of the true to the declared standard deviations of the readings, for a single tracker without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
     """Trackers with names; empty for a single tracker without a name."""
     stations: tuple[TruePose, ...] = Field(min_length=1)
@@ -200,7 +200,7 @@ class Truth(ResultFile):
     targets: tuple[TruePoint, ...] = Field(min_length=1)
     """True positions of the targets."""
     nominal_points: tuple[TruePoint, ...] | None = None
-    """Positions of the targets measured by a coordinate measuring machine."""
+    """Positions of the targets as measured by a coordinate measuring machine; null without such a machine."""
     _arrays: TruthArrays | None = PrivateAttr(None)
 
     @model_validator(mode="after")
@@ -313,12 +313,12 @@ class Truth(ResultFile):
         """Names of the targets."""
         return tuple(target.name for target in self.targets)
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         effects = ", ".join(effect.name for effect in self.effects) or "no effects"
         return [f"Truth: {title}seed {self.seed}, {len(self.parameters)} instrument parameters, {effects}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "instrument": lambda: TRUE_INSTRUMENT_ERRORS_TABLE.with_rows(
                 [p.qualified_name, p.value, p.unit] for p in self.parameters
@@ -334,7 +334,7 @@ def _point_entries(names: Sequence[str], positions: Floats) -> tuple[TruePoint, 
 
 
 def _entry_positions(points: Sequence[TruePoint]) -> Floats:
-    """Coordinates (points, 3) [m] of point entries in a truth file."""
+    """Coordinates (points, 3) [m] of the points in entries of a truth file."""
     return np.array([p.position_mm for p in points]).reshape(-1, 3) * MILLIMETRE
 
 
@@ -349,9 +349,9 @@ def read_truth(path: Path) -> Truth:
 
 
 def nominal_points_csv(truth: Truth) -> str:
-    """CSV text ``target,x_mm,y_mm,z_mm`` with the points from the coordinate measuring machine, for `ltsim verify`.
+    """CSV text ``target,x_mm,y_mm,z_mm`` with the points from a coordinate measuring machine, for `ltsim verify`.
 
-    ModelError is raised for a scenario without a measuring machine.
+    ModelError is raised for a scenario without such a machine.
     """
     if truth.nominal_points is None:
         raise ModelError("the scenario has no nominal points; set measures_targets = true in its table [cmm]")

@@ -4,14 +4,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from ltsim.core.arguments import check_bounds, check_choice, check_mapping, path_of_file_or_built_in
+from ltsim.core.arguments import (
+    check_argument_bounds,
+    check_argument_choice,
+    check_mapping_argument,
+    path_of_file_or_built_in,
+)
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
 from ltsim.simulation.simulator import GeometrySharing, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
-"""Scenario, path of its file, or name of a built-in scenario."""
+"""Argument that names a scenario: a `Scenario`, the path of its file, or the name of a built-in scenario."""
 
 
 class SimulatedRecording(NamedTuple):
@@ -42,7 +47,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     >>> lt.scenario("paper-workshop", {"work.faces": 2})
     Scenario: The paper's workshop: 5 stations, 28 targets, two faces, no effects
     """
-    check_mapping("changes", changes)
+    check_mapping_argument("changes", changes)
     if isinstance(source, Scenario):
         return change_scenario(source, changes, Path(source.title or "the scenario")) if changes else source
     loaded = load_scenario(path_of_file_or_built_in(source))
@@ -93,6 +98,6 @@ def simulate(
     >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
-    check_bounds(seed=seed, trial=trial, required_argument="seed trial")
-    check_choice("geometry", geometry, get_args(GeometrySharing))
+    check_argument_bounds(seed=seed, trial=trial, required_argument="seed trial")
+    check_argument_choice("geometry", geometry, get_args(GeometrySharing))
     return SimulatedRecording(*measured(scenario(source, changes), seed, trial, geometry))

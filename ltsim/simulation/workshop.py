@@ -1,4 +1,4 @@
-"""Planned layout of a hall: poses of stations, positions of targets, gauge, nests, obstacles and visibility."""
+"""Planned layout of a hall: stations, targets, gauge (reflectors at known distances), nests, obstacles, visibility."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -25,22 +25,23 @@ from ltsim.scene.visibility import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, Obstacle, ScenarioGauge, ScenarioInstrument
 
-PAPER_TABLE_2_LENGTHS = MappingProxyType(
+PAPER_GAUGE_LENGTHS_MM = MappingProxyType(
     {
         "columns": (357.6066, 388.0144, 454.4203, 590.1060, 386.7815, 355.9437),
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
     }
 )
-"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in Table 2 of Sensors 2021, 21, 7479,
-for each order in which this table can be read (`ScenarioGauge.table_reading_order`)."""
-MAX_RELATIVE_LENGTH_ERROR = 1e-7
-"""Largest relative difference between the declared lengths of a gauge and the lengths of the rigid frame that fits
-them. If it is exceeded, the declared lengths contradict each other."""
+"""Lengths [mm] of the gauge in Sensors 2021, 21, 7479 (Table 2), for both orders in which the table can be read. The
+target pairs are 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28. The keys are the values of
+`ScenarioGauge.table_reading_order`."""
+MAX_GAUGE_LENGTH_DIFFERENCE = 1e-7
+"""Largest difference [m] between a declared length of a gauge and the length of the rigid frame fitted to all of them.
+If it is exceeded, the declared lengths contradict each other."""
 
 
 @dataclass(frozen=True)
 class GaugeFrame:
-    """Rigid frame of the gauge at its calibration temperature."""
+    """Gauge (reflectors at known distances) as a rigid frame, at its calibration temperature."""
 
     target_names: tuple[str, ...]
     """Names of the targets of the gauge."""
@@ -58,7 +59,7 @@ class GaugeFrame:
 
 
 def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
-    """Rigid frame that has the declared lengths of a gauge.
+    """Rigid frame fitted to the declared lengths of a gauge.
 
     InputError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
@@ -68,7 +69,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     first, second = np.array(target_pairs, dtype=np.int64).T
     frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
     worst_length = int(np.argmax(np.abs(frame.lengths - lengths)))
-    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
+    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_GAUGE_LENGTH_DIFFERENCE:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
         message = f"{a}-{b} is declared as {wanted:.4f} mm, but the other lengths require {has:.4f} mm"
@@ -83,7 +84,7 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
             raise InputError(f"gauge.targets: has {len(names)} reflectors, but {message}")
-        return list(PAPER_TABLE_2_LENGTHS[gauge.table_reading_order])
+        return list(PAPER_GAUGE_LENGTHS_MM[gauge.table_reading_order])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
@@ -103,9 +104,9 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
     """Points (n_points, 3) [m], relative to their centroid, whose mutual distances fit the given `lengths` best.
 
     `lengths` has the shape (lengths,) [m]. Length i joins the points with the indices `first_points[i]` and
-    `second_points[i]`. Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors
-    of the doubly centred squared distances. The first axis is along the largest extent; the first point determines the
-    signs of the axes.
+    `second_points[i]`. The method is classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates
+    are eigenvectors of the doubly centred squared distances. The first axis is along the largest extent, and the first
+    point has no negative coordinate.
     """
     squared = np.zeros((n_points, n_points))
     squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
@@ -153,10 +154,11 @@ def measure_points_by_cmm(
     seed: int,
     *stream_key: str | int,
 ) -> Floats:
-    """Coordinates (targets, 3) [m] as measured by a coordinate measuring machine, from the true `points`.
+    """Coordinates (targets, 3) [m] that a coordinate measuring machine measures, from the true `points`.
 
-    The maximum permissible error of a length L is A + L / K. The part A is a random error, half of whose variance is at
-    either end of the length. The part L / K is a scale error of each axis.
+    The maximum permissible error of a length L is A + L / K. The part A is a random error with half of its variance at
+    each end of the length. The part L / K is a scale error of each axis. `names` are the targets, `stream_key` is the
+    key of the random draws.
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage_factor / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage_factor
@@ -212,7 +214,7 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
 
 
 def _nest_normals_and_reaimed_mask(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
-    """Unit normals of the nests (targets, 3), and mask (targets,) of reflectors that are turned towards each station.
+    """Unit normals of the nests (targets, 3), and mask (targets,) of reflectors that are turned to each station.
 
     `position` (stations, 3) and `points` (targets, 3) are planned positions [m]. A fixed nest without a declared normal
     faces the centre of the stations.
@@ -264,7 +266,7 @@ class PlacedObstacle:
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
-    """Obstacles that can block lines of sight; None in a workshop without obstacles; raises InputError."""
+    """Obstacles that can block lines of sight; None for a workshop without obstacles; raises InputError."""
     obstacle_parts = placed_obstacles(scenario)
     if not obstacle_parts:
         return None
@@ -331,7 +333,10 @@ def _implausible_position_message(
 
 
 def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None = None) -> Visibility:
-    """Visibility of the targets from each station, with the limits of each tracker; default for the planned layout."""
+    """Visibility of the targets from each station, within the limits of each tracker.
+
+    `workshop_layout` gives the positions; by default it is the planned layout.
+    """
     there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)
     stations_of_tracker = [

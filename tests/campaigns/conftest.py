@@ -44,12 +44,12 @@ def truth_of(
     population = TrialDistributions(
         sightings=sightings_at_state(recording, state),
         construction=built,
-        instruments=("",),
-        instrument_means=np.zeros_like(sigma),
-        instrument_sigmas=scale * sigma,
+        instrument_names=("",),
+        instrument_error_means=np.zeros_like(sigma),
+        instrument_error_sigmas=scale * sigma,
         noise_sigmas=recording.reading_sigmas(),
         reference_lengths=ReferenceLengths.from_recording(recording),
-        length_end_names=recording.targets,
+        length_target_names=recording.targets,
         effects=effects,
     )
     return TrueNetwork(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))

@@ -385,7 +385,7 @@ def test_quantiles_of_very_many_rows_come_from_a_digest(
     run_campaign(file, tmp_path / "out")
     results = CampaignResults(tmp_path / "out")
     exact = results.statistic_summaries("target_error_um")[0]
-    monkeypatch.setattr(statistics, "MAX_ROWS_EXACT_QUANTILES", 1000)
+    monkeypatch.setattr(statistics, "MAX_ROWS_FOR_EXACT_QUANTILES", 1000)
     rough = results.statistic_summaries("target_error_um")[0]
     assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
     assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.standard_deviation

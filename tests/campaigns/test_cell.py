@@ -135,8 +135,12 @@ def test_drawn_noise_levels_widen_single_trials() -> None:
     loud, still = truth.draw_batch(5, 0), quiet.draw_batch(5, 0)
     extra = loud.effect_values[0][0]
     assert np.all(extra >= 0) and extra.std() > 0.1
-    ratio = np.std(loud.reading_deviations[:, 0] - quiet._exact_deviations(still.instrument_values)[:, 0], axis=0)
-    usual = np.std(still.reading_deviations[:, 0] - quiet._exact_deviations(still.instrument_values)[:, 0], axis=0)
+    ratio = np.std(
+        loud.reading_deviations[:, 0] - quiet._exact_reading_deviations(still.instrument_values)[:, 0], axis=0
+    )
+    usual = np.std(
+        still.reading_deviations[:, 0] - quiet._exact_reading_deviations(still.instrument_values)[:, 0], axis=0
+    )
     assert np.corrcoef(ratio / usual, np.sqrt(1 + extra))[0, 1] > 0.9
 
 

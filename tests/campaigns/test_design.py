@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.design import KeyRange, cell_label, short_key_names
-from ltsim.campaigns.spec import load_campaign, make_cells
+from ltsim.campaigns.spec import load_campaign, make_campaign_cells
 from ltsim.core.errors import InputError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
@@ -20,7 +20,7 @@ def made(tmp_path: Path, text: str):
     file = tmp_path / "made.toml"
     file.write_text(HEAD + text)
     campaign, scenarios = load_campaign(file)
-    factors, cells = make_cells(campaign, scenarios, file)
+    factors, cells = make_campaign_cells(campaign, scenarios, file)
     return campaign, scenarios, factors, [cell.levels for cell in cells]
 
 
@@ -100,7 +100,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[grid]\n"instrument.noise.azimuth" = [0.5]\n', "did you mean azimuth_arcsec"),
         ('[grid]\n"work.stations" = [6]\n', "work.stations is 6, but the scenario has 5"),
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),
-        ('[grid]\n"effects.3.values.x" = [1]\n', "goes through 3, which is not a table"),
+        ('[grid]\n"effects.3.values.x" = [1]\n', "contains the part 3, which is not a table"),
         ('[design]\nkind = "sobol"\ncell_count = 50\n' + RANGE + "low = 3\nhigh = 6\n", "such as 64"),
         ('[design]\nkind = "sobol"\ncell_count = 8\n' + RANGE + "low = 6\nhigh = 3\n", "low below high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),

@@ -39,7 +39,7 @@ def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     truth = make_true_network(with_far_station(levelled=True), 0, "campaign", 2)
     judge, block = TrialEvaluator(truth), truth.draw_batch(0, 2, 1)
     assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.is_frame_determined.tolist() == [True] * 5 + [False]
-    assert not judge.has_criteria
+    assert not judge.can_compute_criteria
     recording, total = truth.recording, []
     for station in range(5):
         mine = recording.station == station

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.batch_network import BatchNetwork
-from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.compilation import compile_function
 from ltsim.campaigns.kernels import compute_points
+from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork
 from ltsim.geometry.polar import wrap_angle
@@ -30,12 +30,12 @@ def test_points_and_readings_are_those_of_the_construction(
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
     rng = np.random.default_rng(4)
-    values = truth.distributions.instrument_sigmas[:, :, None] * rng.standard_normal(
-        (*truth.distributions.instrument_sigmas.shape, TRIALS_PER_STREAM)
+    values = truth.distributions.instrument_error_sigmas[:, :, None] * rng.standard_normal(
+        (*truth.distributions.instrument_error_sigmas.shape, TRIALS_PER_STREAM)
     )
-    deviation = truth._exact_deviations(values)
+    deviation = truth._exact_reading_deviations(values)
     points = np.empty_like(deviation)
-    compute_points(truth.chain_program(truth.construction), truth.recording.instrument, deviation, values, points)
+    compute_points(truth.kinematic_chain(truth.construction), truth.recording.instrument, deviation, values, points)
     for k in range(0, TRIALS_PER_STREAM, 50):
         raw = truth.recording.readings + deviation[:, :, k]
         exact = built.readings_from_points(truth.sightings.local_points, truth.recording.face, values[0, :, k])
@@ -50,10 +50,10 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
     values = np.zeros((1, 16, TRIALS_PER_STREAM))
-    values[:, :7] = truth.distributions.instrument_sigmas[:, :7, None] * np.random.default_rng(5).standard_normal(
+    values[:, :7] = truth.distributions.instrument_error_sigmas[:, :7, None] * np.random.default_rng(5).standard_normal(
         (1, 7, TRIALS_PER_STREAM)
     )
-    deviation = truth._exact_deviations(values)
+    deviation = truth._exact_reading_deviations(values)
     for k in range(0, TRIALS_PER_STREAM, 50):
         exact = truth.construction.readings_from_points(
             truth.sightings.local_points, truth.recording.face, values[0, :, k]
@@ -65,7 +65,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
 
 def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., TrueNetwork]) -> None:
     truth = make_truth()
-    program = ChainProgram.from_construction(misalignment_construction(), truth.recording.readings)
+    program = ChainArrays.from_construction(misalignment_construction(), truth.recording.readings)
     assert len(program.is_rotation) == 8
     assert sorted(program.parameter_indices) == list(range(16))
 
@@ -87,7 +87,9 @@ def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
             np.zeros_like(block.reading_deviations),
         )
         for _ in range(3):  # the predicted readings settle
-            network._gradient(at, block.reading_deviations, block.length_errors, predicted, gradient, cost)
+            network._write_gradient_and_cost(
+                at, block.reading_deviations, block.length_errors, predicted, gradient, cost
+            )
         return cost, gradient
 
     step = 1e-2

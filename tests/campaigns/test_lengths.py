@@ -34,7 +34,7 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     scale = truth.construction.parameter_index("range-scale")
     assert (
-        found.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_sigmas[0, scale]
+        found.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_error_sigmas[0, scale]
     )  # the bars tell something
     dof = engine.batch_network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))

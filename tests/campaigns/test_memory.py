@@ -14,7 +14,7 @@ import pytest
 
 from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.shard_rows import cell_context
+from ltsim.campaigns.shard_rows import load_cell_context
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.errors import InputError
@@ -37,7 +37,7 @@ def test_no_geometry_of_a_trial_outlives_its_batch(geometry: str, file: Path, tm
         assert len(living_truths()) == len(before)
     finally:
         gc.enable()
-    assert not cell_context.cache_info().currsize
+    assert not load_cell_context.cache_info().currsize
 
 
 def living_truths() -> list[object]:
@@ -58,7 +58,7 @@ def test_a_large_network_is_calibrated_in_small_batches(
     run_campaign(file, tmp_path / "whole")
     assert max(sizes) == (TRIALS_PER_STREAM if geometry == "shared" else 1)
     sizes.clear()
-    monkeypatch.setattr("ltsim.campaigns.shard_rows.MAX_BATCH_VALUES", 200_000)
+    monkeypatch.setattr("ltsim.campaigns.shard_rows.MAX_BATCH_ARRAY_VALUES", 200_000)
     run_campaign(file, tmp_path / "parts")
     assert max(sizes) == (32 if geometry == "shared" else 1)
     assert_equal_rows(tmp_path / "whole", tmp_path / "parts", MAX_DISTANCE_TO_OPTIMUM)

@@ -13,7 +13,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import removed_error_fraction
 from ltsim.campaigns.results import _matching_level
-from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
+from ltsim.campaigns.schema import RESULT_COLUMNS, find_result_column
 from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import InputError, ModelError
@@ -183,7 +183,7 @@ def test_every_column_of_rows_is_defined_once() -> None:
     judge = make_validation_scenario(made.validation_points, PAPER, Path("campaign.toml"))
     schema = make_shard_rows(ShardTask(made, PAPER, "", 0, 0, judge)).schema
     results = [field for field in schema if field.name not in ("cell", "method", "trial", "status")]
-    assert all(field.metadata[b"meaning"].decode() == find_column(field.name).meaning for field in results)
+    assert all(field.metadata[b"meaning"].decode() == find_result_column(field.name).meaning for field in results)
     assert len({column.name for column in RESULT_COLUMNS}) == len(RESULT_COLUMNS)
 
 

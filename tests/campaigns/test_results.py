@@ -245,7 +245,7 @@ def test_an_interruption_of_a_query_is_an_interruption(sweep: Any, monkeypatch: 
 
     long = "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range * b.range % 7 = 3"
     before = signal.signal(signal.SIGVTALRM, interrupt)
-    monkeypatch.setattr(CampaignStatistics, "_lines", lambda self: [str(self.query(long))])
+    monkeypatch.setattr(CampaignStatistics, "_summary_lines", lambda self: [str(self.query(long))])
     for work in (lambda: sweep.query(long), lambda: str(sweep)):
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.1)
         try:
@@ -268,11 +268,11 @@ def test_a_manifest_that_does_not_belong_to_its_rows_is_refused(sweep: Any, tmp_
     manifest = json.loads((sweep.folder / "manifest.json").read_text())
     cells, factors = manifest["cells"], manifest["factors"]
     wrong: dict[str, Any] = {
-        "is not cell 0 with a level": {"cells": [cells[0] | {"levels": {}}, *cells[1:]]},
+        "is not cell 0 with a level for each": {"cells": [cells[0] | {"levels": {}}, *cells[1:]]},
         "is not cell 1 with a level": {"cells": [cells[0], *cells[2:]]},
         "cells.0.levels.faces": {"cells": [cells[0] | {"levels": cells[0]["levels"] | {"faces": {}}}, *cells[1:]]},
-        "cell 3 by": {"cells": cells[:-1]},
-        "by distance is not in": {"methods": ["network"]},
+        "cell 3 and method": {"cells": cells[:-1]},
+        "and method distance, which are not in": {"methods": ["network"]},
         "the same name": {"methods": ["network", "network"]},
         "no key": {"factors": [factors[0] | {"keys": []}, *factors[1:]]},
         "names of statistics": {"settings": {"statistics": 3}},

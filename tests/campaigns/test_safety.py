@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 
-from ltsim.campaigns.campaign import checkout_commit, run_campaign
+from ltsim.campaigns.campaign import git_commit_of_checkout, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import MAX_SHARDS
 from ltsim.campaigns.statistics import database_memory_limit
@@ -198,7 +198,7 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
         digests.write_text(cut)
         assert run_campaign(file, out, resume=True).n_existing_shards == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
-        assert CampaignFolder(out).recorded_digests().keys() == {
+        assert CampaignFolder(out).recorded_shard_digests().keys() == {
             f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)
         }
     assert not list(out.rglob(".ltsim-*"))
@@ -253,7 +253,7 @@ def test_a_commit_is_of_the_checkout_of_ltsim_alone(
     monkeypatch.setattr("ltsim.campaigns.campaign.__file__", str(file))
     monkeypatch.setenv("GIT_DIR", str(Path(__file__).parents[2] / ".git"))  # of no account
     monkeypatch.delenv("GIT_DIR" if own else "GIT_NOTHING", raising=False)
-    assert checkout_commit() == (git("rev-parse", "HEAD") if own else None)
+    assert git_commit_of_checkout() == (git("rev-parse", "HEAD") if own else None)
 
 
 def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,6 +262,6 @@ def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeyp
     assert content["versions"]["ltsim"] == version("ltsim")
     content["commit"] = None
     (tmp_path / "out" / "manifest.json").write_text(json.dumps(content))
-    monkeypatch.setattr("ltsim.campaigns.campaign.checkout_commit", lambda: "0123abc")
+    monkeypatch.setattr("ltsim.campaigns.campaign.git_commit_of_checkout", lambda: "0123abc")
     notes = run_campaign(file, tmp_path / "out", resume=True).notes
     assert any("started with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)

@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.campaigns.columns import parameter_labels, parameter_value_columns
-from ltsim.campaigns.recovery_trials import with_errors_from_prior
+from ltsim.campaigns.recovery_trials import scenario_with_errors_from_prior
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.true_network import make_true_network
 from ltsim.core.randomness import random_stream
@@ -28,7 +28,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
             drawn = random_stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
             drawn[0] = random_stream(4, "instrument", name, parameter).standard_normal()
             np.testing.assert_array_equal(
-                block.instrument_values[i, k], truth.distributions.instrument_sigmas[i, k] * drawn
+                block.instrument_values[i, k], truth.distributions.instrument_error_sigmas[i, k] * drawn
             )
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
@@ -36,13 +36,13 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
     assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
-    columns = parameter_value_columns(labels, found.estimates[0], "estimate")
+    columns = parameter_value_columns(labels, found.estimates_and_sigmas[0], "estimate")
     tilt = truth.construction.parameter_index("beam-tilt")
     np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
 
 
 def test_recovery_checks_every_trackers_parameters() -> None:
-    drawn = with_errors_from_prior(load_scenario("two-trackers"))
+    drawn = scenario_with_errors_from_prior(load_scenario("two-trackers"))
     assert all(tracker.draws_errors and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
     assert found.failed_checks() == [] and found.arrays.z_scores.shape == (12, 32)

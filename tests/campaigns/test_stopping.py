@@ -15,7 +15,7 @@ from ltsim.campaigns.stopping import (
     interval_error_rate,
     iterate_stopping_rounds,
     stopping_evaluation_schedule,
-    student_quantile,
+    student_t_quantile,
 )
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
@@ -99,7 +99,7 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
         ]
         values = np.concatenate(parts)
         level = interval_error_rate(looks * SHARD, SHARD, is_stopping=True)
-        found[cell, METHOD] = student_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
+        found[cell, METHOD] = student_t_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
     return found
 
 
@@ -129,7 +129,7 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
     for shards in stopping_evaluation_schedule(trials, shard):
         count = min(shards * shard, trials)
         mean, spread = values[:, :count].mean(axis=1), values[:, :count].std(axis=1, ddof=1)
-        half = student_quantile(count, level) * spread / np.sqrt(count)
+        half = student_t_quantile(count, level) * spread / np.sqrt(count)
         ends = open_ & ((half <= within) | (count == trials))
         held[ends] = np.abs(mean[ends]) <= half[ends]
         open_ &= ~ends

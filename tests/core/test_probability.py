@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.core.probability import p_relation_text, p_text, two_sided_p_value
+from ltsim.core.probability import p_value_relation_text, p_value_text, two_sided_p_value
 
 
 @pytest.mark.parametrize(
@@ -23,11 +23,11 @@ from ltsim.core.probability import p_relation_text, p_text, two_sided_p_value
     ],
 )
 def test_a_chance_is_of_both_sides(upper: float, said: str) -> None:
-    assert p_relation_text(two_sided_p_value(upper)) == said
+    assert p_value_relation_text(two_sided_p_value(upper)) == said
 
 
 def test_no_chance_is_a_dash() -> None:
-    assert p_text(None) == p_text(two_sided_p_value(float("nan"))) == "–"
+    assert p_value_text(None) == p_value_text(two_sided_p_value(float("nan"))) == "–"
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,10 @@ class Cloud(Result):
     name: str = "cloud"
     rows: Any = None
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [f"{self.name}: {len(self.points)} points"]
 
-    def _tables(self) -> Any:
+    def _table_makers(self) -> Any:
         return {"points": lambda: POINTS.with_rows(ROWS), "plain": lambda: {"n": [1, 2], "what": ["a", "b"]}}
 
 
@@ -225,7 +225,7 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(
 
 def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
     for result in drawn:
-        for name in result._tables():
+        for name in result._table_makers():
             table = result.table(name)
             again = table.parse_csv(table.csv_text())
             assert again.header == table.header, (type(result), name)
@@ -247,7 +247,7 @@ def test_results_are_a_few_lines_and_their_tables_data_frames(drawn: list[Any]):
     for result in drawn:
         assert 20 < len(repr(result)) < 1000, repr(result)
         assert repr(result).count("\n") < 8
-        for name in result._tables():
+        for name in result._table_makers():
             frame = result.to_dataframe(name)
             assert isinstance(frame, pandas.DataFrame), (type(result), name)
             assert len(frame.columns) or name == "z_scores", type(result)  # which the campaign here does not ask for

@@ -170,5 +170,5 @@ def test_the_held_out_error_is_printed_where_a_search_was_repeated(after: float)
     result = SimpleNamespace(
         verdict="mismatch", summary="", findings=(None,), fit=SimpleNamespace(before=before, after=modelled)
     )
-    printed = "\n".join(Diagnosis._lines(result))
+    printed = "\n".join(Diagnosis._summary_lines(result))
     assert ("held-out error" in printed) == (after != 1.2)

@@ -293,7 +293,7 @@ def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
     content = lt.read(folder / "plan.json")
     assert type(content) is type(result)
     assert content.model_dump(exclude={"files"}) == result.model_dump(exclude={"files"})
-    names = set(result._tables())
+    names = set(result._table_makers())
     assert {table.name for table in PLAN_TABLES} == names | {"visibility", "work-order"}
     for name in names:
         table = result.table(name)

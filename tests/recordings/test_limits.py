@@ -510,7 +510,8 @@ def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pyt
     assert len(lt.adjust(recording).target_names) == 28
     monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, str(len(recording) - 1))
     with pytest.raises(
-        NetworkError, match=f"at most 139: .* set the environment variable {POINTINGS_LIMIT_VARIABLE} to 140"
+        NetworkError,
+        match=f"at most 139: .* set the environment variable {POINTINGS_LIMIT_VARIABLE} to 140",
     ):
         lt.adjust(recording)
     monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, "99")

@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.core.limits import MAX_LGC_LINES, MAX_TOML_KEYS
-from ltsim.core.units import parse_in_unit
+from ltsim.core.units import parse_quantity_in_unit
 from ltsim.recordings import Hints, read
 from ltsim.recordings.exchange import MAX_FORMAT_RECOGNITION_BYTES, MAX_NOTES_PER_FILE
 from ltsim.recordings.files import SourceLocation
@@ -80,7 +80,7 @@ def test_lines_between_the_rows_of_a_table_take_no_time(line: str, separators: s
 @pytest.mark.parametrize("text", ["1" * 300_000, "1." + "1" * 300_000, "1" + " " * 300_000, "1e" + "1" * 300_000])
 def test_a_long_number_with_or_without_a_unit_takes_no_time(text: str) -> None:
     with processor_time_below(1):
-        assert parse_in_unit(text, "mm") is None
+        assert parse_quantity_in_unit(text, "mm") is None
 
 
 GSI_SETUP = "*110001+{:>016} 84..10+0000000000000000 85..10+0000000000000000 88..10+0000000000000000\n"

@@ -13,7 +13,12 @@ import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, parameter_checks, unit_mean_check
-from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, run_trials, with_errors_from_prior
+from ltsim.campaigns.recovery_trials import (
+    RecoverySettings,
+    RecoveryTrials,
+    run_recovery_trials,
+    scenario_with_errors_from_prior,
+)
 from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
@@ -33,7 +38,7 @@ def recovery(*trials: TrialScore | None) -> Recovery:
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
     how = RecoverySettings(settings.pop("method", "network"), settings.pop("construction", None))
-    return recovery(*run_trials(load_scenario(name), trials, how, seed=11, **settings))
+    return recovery(*run_recovery_trials(load_scenario(name), trials, how, seed=11, **settings))
 
 
 def flipped(error_key: str) -> GeometricErrorModel:
@@ -105,7 +110,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    found = recovery(*run_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
+    found = recovery(*run_recovery_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
     assert [c.sentence() for c in found.failed_checks()] == []
 
 
@@ -130,7 +135,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = recovery(*run_trials(noisy, 20, RecoverySettings(), seed=1))
+    result = recovery(*run_recovery_trials(noisy, 20, RecoverySettings(), seed=1))
     assert {"chi-square", "targets"} <= {failure.subject for failure in result.failed_checks()}
 
 
@@ -139,8 +144,8 @@ def test_errors_are_drawn_whatever_the_scenario_says() -> None:
     fixed = scenario.model_copy(
         update={"instrument": scenario.instrument.model_copy(update={"errors": {"beam-tilt": 900.0}})}
     )
-    assert with_errors_from_prior(fixed).instrument.draws_errors
-    assert "beam-tilt" not in with_errors_from_prior(fixed).instrument.errors
+    assert scenario_with_errors_from_prior(fixed).instrument.draws_errors
+    assert "beam-tilt" not in scenario_with_errors_from_prior(fixed).instrument.errors
 
 
 def with_errors(name: str, **errors: float | bool) -> Scenario:
@@ -230,7 +235,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
 
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
-    scenario = with_errors_from_prior(load_scenario("paper-workshop-re-aimed"))
+    scenario = scenario_with_errors_from_prior(load_scenario("paper-workshop-re-aimed"))
     work = make_measurement_geometry(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):

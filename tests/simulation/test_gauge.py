@@ -13,7 +13,7 @@ from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import CoordinateMeasuringMachine, ScenarioGauge
 from ltsim.simulation.simulator import error_free_recording, trial_distributions
 from ltsim.simulation.workshop import (
-    PAPER_TABLE_2_LENGTHS,
+    PAPER_GAUGE_LENGTHS_MM,
     cmm_length_sigmas,
     gauge_expansion_factor,
     gauge_points_in_workshop,
@@ -29,7 +29,7 @@ PLACE = (750.0, 750.0, 260.0)
 @pytest.mark.parametrize("reading", ["columns", "rows"])
 def test_both_readings_of_table_2_are_realised(reading: str) -> None:
     frame = make_gauge_frame(ScenarioGauge.model_validate({"position_mm": PLACE, "table_reading_order": reading}))
-    np.testing.assert_allclose(frame.lengths * 1e3, PAPER_TABLE_2_LENGTHS[reading], atol=1e-7)
+    np.testing.assert_allclose(frame.lengths * 1e3, PAPER_GAUGE_LENGTHS_MM[reading], atol=1e-7)
 
 
 def test_by_columns_the_gauge_is_a_flat_near_parallelogram_by_rows_it_is_not() -> None:

@@ -131,7 +131,7 @@ def test_the_curve_rises(recording: Recording) -> None:
         ("range-step:S3,range-step=far", "expected a number"),
         ("azimuth ~ nothing at all", "nothing at all"),
         ("azimuth ~ constant:S2", "network absorbs"),
-        ("target-swap", "no size"),
+        ("target-swap", "no parameter to scale"),
     ],
 )
 def test_what_cannot_be_is_said(recording: Recording, cause: str, said: str) -> None:

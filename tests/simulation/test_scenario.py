@@ -12,7 +12,7 @@ from ltsim.core.errors import InputError
 from ltsim.simulation.builtin import builtin_names, builtin_text
 from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
-from ltsim.simulation.sections import PAPER_PRIOR, PRESETS
+from ltsim.simulation.sections import PAPER_PRIOR, TRACKER_PRESETS
 
 MINIMAL = """\
 format = "ltsim-scenario/1"
@@ -76,8 +76,8 @@ def test_a_preset_stands_below_what_the_file_says(write: Write) -> None:
     text = MINIMAL + '[instrument]\npreset = "modern"\n[instrument.noise]\ndistance_mm = 0.007\n'
     instrument = load_scenario(write(text)).instrument
     assert instrument.noise.distance_mm == 0.007
-    assert instrument.noise.azimuth_arcsec == PRESETS["modern"]["noise"]["azimuth_arcsec"]
-    assert instrument.prior.angle_arcsec == PRESETS["modern"]["prior"]["angle_arcsec"]
+    assert instrument.noise.azimuth_arcsec == TRACKER_PRESETS["modern"]["noise"]["azimuth_arcsec"]
+    assert instrument.prior.angle_arcsec == TRACKER_PRESETS["modern"]["prior"]["angle_arcsec"]
 
 
 WRONG = [

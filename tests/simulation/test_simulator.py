@@ -311,7 +311,10 @@ def test_an_effect_without_anything_to_act_on_is_told() -> None:
     smr = PAPER.smr.model_copy(update={"nest_orientation": "re-aimed", "incidence_error": True})
     entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
     recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
-    assert recording.notes[-2:] == ("dead-path changes no reading here", "smr-incidence changes no reading here")
+    assert recording.notes[-2:] == (
+        "dead-path changes no reading of this recording",
+        "smr-incidence changes no reading of this recording",
+    )
 
 
 def test_a_recording_of_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_RESULT_LIST_ENTRIES
@@ -107,7 +107,7 @@ class BenchFile(ResultFile):
     unexplained_rms_um: Finite
     """Rms range error [um] that no offset of the vertex explains, caused by the optics."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         worst_angle = max(self.range_errors, key=lambda row: abs(row.error_um))
         worst_error_text = with_sigma(worst_angle.error_um, worst_angle.sigma_um, "um")
         phrase = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
@@ -129,7 +129,7 @@ class BenchFile(ResultFile):
             lines.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
         return lines
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"angles": lambda: ANGLES_TABLE.with_rows(self.range_errors)}
 
 
@@ -290,7 +290,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").range_errors]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
-    check_bounds(length_sigma=length_sigma, required_argument="length_sigma")
+    check_argument_bounds(length_sigma=length_sigma, required_argument="length_sigma")
     options = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
     record = read_reflector_bench(Path(source), **options)
     result = evaluate_reflector_bench(record)

@@ -155,10 +155,10 @@ class Criteria(ResultFile, CriteriaEntry):
         value_by_field = {name: getattr(criteria, name) for name in criteria.model_fields_set}
         return cls(**value_by_field, recording=ResultSource.from_recording(recording))
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"criteria": self.criteria_table}
 
 

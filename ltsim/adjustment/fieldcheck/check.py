@@ -44,7 +44,7 @@ from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_SINGLE_ERROR_FRACTION
 from ltsim.adjustment.station_motions import UniformMotion, with_mean_times_of_consecutive_pointings
 from ltsim.adjustment.structure import raise_for_singular_network
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
@@ -95,7 +95,7 @@ def check(
     >>> lt.check(recording).passed
     True
     """
-    check_bounds(level=level, required_argument="level")
+    check_argument_bounds(level=level, required_argument="level")
     full_recording = load_recording(recording)
     full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None

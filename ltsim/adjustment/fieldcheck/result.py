@@ -211,10 +211,10 @@ class Check(ResultFile):
             raise ModelError("a check read from a file has no recording; call lt.check with the recording")
         return self._arrays
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [self.sentence]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"items": lambda: ITEMS_TABLE.with_rows(self.items), "two_face": self._two_face_table}
 
     def _two_face_table(self) -> Table:

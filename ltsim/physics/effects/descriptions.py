@@ -220,10 +220,10 @@ class EffectList(Result):
     descriptions: tuple[EffectDescription, ...]
     """Descriptions of the listed effects, in the order of the catalogue or of the user's request."""
 
-    def _lines(self) -> list[str]:
+    def _summary_lines(self) -> list[str]:
         return [f"{effect.name}: {effect.meaning}" for effect in self.descriptions]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+    def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "effects": lambda: CATALOGUE_TABLE.with_rows(self.descriptions),
             "parameters": lambda: EFFECT_PARAMETERS_TABLE.with_rows(

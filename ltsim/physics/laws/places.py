@@ -90,14 +90,14 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def groups_connected_by_lengths(
-    sightings: Sightings, length_end_names: Iterable[tuple[str, str]]
+    sightings: Sightings, length_target_names: Iterable[tuple[str, str]]
 ) -> set[tuple[int, ...]]:
     """Groups of targets that known lengths connect, such as the targets of a gauge, as tuples of target indices.
 
-    `length_end_names` are the pairs of names of the targets at the ends of the known lengths.
+    `length_target_names` are the pairs of names of the targets at the ends of the known lengths.
     """
     index = {name: i for i, name in enumerate(sightings.target_names)}
-    index_pairs = [(index[a], index[b]) for a, b in length_end_names if a in index and b in index]
+    index_pairs = [(index[a], index[b]) for a, b in length_target_names if a in index and b in index]
     if not index_pairs:
         return set()
     count, (first, second) = len(index), np.array(index_pairs).T

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SI_PER_UNIT, UNITS_BY_SPELLING
+from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
@@ -196,7 +196,7 @@ def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLoca
         block.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([location.parse_number(text, allows_decimal_comma=True) for text in fields[1:4]])
-        unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
+        unit = UNIT_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]
         elif unit in ANGLE_UNITS:

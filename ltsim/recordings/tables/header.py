@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
+from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.title_words import (
     COMMON_SIGMA_ROLE,
@@ -335,8 +335,8 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
     name, unit = split_title_and_unit(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())
-        if len(parts) > 1 and parts[-1].lower() in UNITS_BY_SPELLING and title_role("".join(parts[:-1])):
-            name, unit = " ".join(parts[:-1]), UNITS_BY_SPELLING[parts[-1].lower()]
+        if len(parts) > 1 and parts[-1].lower() in UNIT_BY_SPELLING and title_role("".join(parts[:-1])):
+            name, unit = " ".join(parts[:-1]), UNIT_BY_SPELLING[parts[-1].lower()]
     return normalised_title(name), unit
 
 
@@ -386,7 +386,7 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
     bracket_match = _UNIT_IN_BRACKETS_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:
         return text, ""
-    return bracket_match[1], UNITS_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])
+    return bracket_match[1], UNIT_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])
 
 
 def reading_kind(role: str) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import SI_PER_UNIT, UNITS_BY_SPELLING
+from ltsim.core.units import SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.tables import cells
@@ -99,7 +99,7 @@ def unit_in_title(column: TableColumn) -> str:
 
     The text is empty for a title without unit.
     """
-    return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
+    return column.unit or UNIT_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
 
 
 def _title_words(column: TableColumn) -> str:

@@ -20,7 +20,7 @@ from ltsim.core.limits import (
     BYTES_PER_MIB,
     MAX_FILE_BYTES,
     MAX_LINE_CHARACTERS,
-    MAX_ROW_FIELDS,
+    MAX_TABLE_COLUMNS,
     MAX_TEXT_LINES,
     MAX_WORKBOOK_CELLS,
     MAX_WORKBOOK_SHEETS,
@@ -186,22 +186,22 @@ def read_text_sheet(file: Path) -> TableSheet:
 
 
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
-    """Rows of the lines that are not blank; raises RecordError for a line with more than `MAX_ROW_FIELDS` fields."""
+    """Rows of the lines that are not blank; raises RecordError for a line with more than `MAX_TABLE_COLUMNS` fields."""
     separator = _detect_separator(lines)
     non_blank = []
     for i, line in enumerate(lines):
         is_separator_line = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not is_separator_line:
-            if len(line) >= MAX_ROW_FIELDS:
+            if len(line) >= MAX_TABLE_COLUMNS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
             non_blank.append((i + 1, line))
     return TextRows(non_blank, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
-    """Check that a row has at most `MAX_ROW_FIELDS` fields; raises RecordError, which names `file` and `line`."""
-    if len(fields) > MAX_ROW_FIELDS:
-        raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
+    """Check that a row has at most `MAX_TABLE_COLUMNS` fields; raises RecordError, which names `file` and `line`."""
+    if len(fields) > MAX_TABLE_COLUMNS:
+        raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_TABLE_COLUMNS}")
 
 
 def rows_of_file_beginning(file_beginning: str) -> list[SheetRow]:

@@ -28,7 +28,7 @@ from ltsim.calibration.schema import (
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option_text
 from ltsim.core.notation import fixed_point_text, number_text
-from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_text, two_sided_p_value
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_value_text, two_sided_p_value
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import require_same_recording
@@ -234,7 +234,7 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
     p = None if noise_estimated or fit.p_value is None else two_sided_p_value(fit.p_value)
     facts = [
         KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(has_agreement)),
-        KeyFigure("two-sided p-value", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
+        KeyFigure("two-sided p-value", p_value_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
         KeyFigure("degrees of freedom", str(fit.dof)),
         KeyFigure("outlying readings", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]

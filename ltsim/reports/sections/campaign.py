@@ -18,7 +18,7 @@ from ltsim.campaigns.schema import (
     RATIO_STATISTICS,
     ManifestFile,
     error_columns_of_ratio,
-    find_column,
+    find_result_column,
 )
 from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number_text
@@ -339,7 +339,7 @@ def _errors_before_and_after_tables(
 
 def _column_meaning(column: str) -> str:
     """Definition of a column as a sentence without full stop; empty for an undeclared column."""
-    declared = find_column(column)
+    declared = find_result_column(column)
     return capitalised_sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.notation import MISSING_TEXT, number_text
-from ltsim.core.probability import p_text, two_sided_p_value
+from ltsim.core.probability import p_value_text, two_sided_p_value
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action, is_name_exchange
 from ltsim.diagnosis.schema import (
@@ -171,13 +171,13 @@ def _key_figures(content: Diagnosis) -> list[KeyFigure]:
     after_text = f" after the correction of {corrected}" if corrected else ""
     p_value = test.p_value if test.dof > 0 else None
     verdict = assessment_of(content.verdict == "consistent")
-    p_text_of_global_test = p_text(None if p_value is None else two_sided_p_value(p_value))
+    p_text_of_global_test = p_value_text(None if p_value is None else two_sided_p_value(p_value))
     facts = [
         KeyFigure("findings", str(len(content.findings)), verdict),
         KeyFigure(f"global test{after_text}, two-sided p", p_text_of_global_test),
     ]
     if test.search_p_value is not None:
-        facts.append(KeyFigure(f"whole search{after_text}, p", p_text(test.search_p_value)))
+        facts.append(KeyFigure(f"whole search{after_text}, p", p_value_text(test.search_p_value)))
     if content.fit is not None:
         ratios = dict.fromkeys(_chi2_per_dof_text(fit) for fit in (content.fit.before, content.fit.after))
         facts.append(KeyFigure(f"chi2 per degree of freedom{after_text}", " to ".join(ratios)))
@@ -250,7 +250,7 @@ def _finding_blocks(
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= INFINITE_GAIN_SUBSTITUTE
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
-        f"p, corrected for the search: {p_text(evidence.p_value)}",
+        f"p, corrected for the search: {p_value_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
         *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_column
+from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_result_column
 from ltsim.core.notation import number_text
 from ltsim.reports.document_model import TableBlock, table_blocks
 from ltsim.reports.figures.campaign_factors import cell_descriptions
@@ -88,7 +88,7 @@ class MethodComparison:
             for method, entries in self.differences_by_method.items()
             for cell_text, entry in zip(self.cell_texts, entries, strict=True)
         ]  # fmt: skip
-        declared = find_column(self.statistic)
+        declared = find_result_column(self.statistic)
         meaning = "" if declared is None else declared.meaning.replace("`", "")
         label = f"{self.statistic_label[0].upper()}{self.statistic_label[1:]}"
         note = (

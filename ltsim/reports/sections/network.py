@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra_error
 from ltsim.core.limits import MAX_NETWORK_SETUPS
 from ltsim.core.notation import MISSING_TEXT, names_text, number_text
-from ltsim.core.probability import p_text, two_sided_p_value
+from ltsim.core.probability import p_value_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings import Recording, read
@@ -282,7 +282,9 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure(
             "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
         ),
-        KeyFigure("p-value, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
+        KeyFigure(
+            "p-value, two-sided", p_value_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)
+        ),
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     assessment = assessment_of(agrees and not flagged_readings)

@@ -15,7 +15,7 @@ from ltsim.calibration.events import MIN_STEPS_FOR_EVENT_TEST, MIN_STEPS_TO_ESTI
 from ltsim.calibration.history import History
 from ltsim.core.errors import option_text
 from ltsim.core.notation import number_text
-from ltsim.core.probability import p_relation_text, p_text
+from ltsim.core.probability import p_value_relation_text, p_value_text
 from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects import effect_title, parameter_text
@@ -120,7 +120,9 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
-        KeyFigure("p-value, if no point moved", p_text(p_value), assessment_of(p_value >= content.significance_level)),
+        KeyFigure(
+            "p-value, if no point moved", p_value_text(p_value), assessment_of(p_value >= content.significance_level)
+        ),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
@@ -334,7 +336,9 @@ def history_section(content: History, _: SectionContext) -> Section:
     facts = [
         KeyFigure("calibrations", str(len(labels))),
         KeyFigure("events", str(len(content.events)), assessment_of(not content.events)),
-        KeyFigure("p-value, if nothing changed since the first", p_text(since.p_value), assessment_of(not has_changed)),
+        KeyFigure(
+            "p-value, if nothing changed since the first", p_value_text(since.p_value), assessment_of(not has_changed)
+        ),
     ]
     answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
     answer += _change_summary_sentence(content, knows_usual_changes)
@@ -366,7 +370,7 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
     `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
     """
     since, events = content.change_since_first, content.events
-    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_relation_text(since.p_value)})"
+    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_value_relation_text(since.p_value)})"
     if events:
         steps = names_text(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = names_text(list(dict.fromkeys(e.name for e in events)))

@@ -1,10 +1,10 @@
-"""Kinematic chain as arrays for the compiled functions, expanded about the nominal readings of a network.
+"""Kinematic chain of a tracker as arrays for the compiled functions, linearised at the nominal readings of a network.
 
-The amount of each motion (a rotation or translation) is the amount at the nominal readings plus a small deviation, so
-that trigonometric functions of large angles are computed only once. A parameter changes the amount of a motion by the
-parameter times a basis function of the readings, which is expanded to first order in the reading deviations. The
-neglected term is half the second derivative times the squared deviation times the parameter: 2e-16 rad for deviations
-and parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
+The amount of each motion (angle of a rotation, length of a translation) is its nominal amount plus a small deviation,
+so that trigonometric functions of large angles are computed only once. A parameter changes the amount of a motion by
+the parameter times a basis function of the readings. The basis function is expanded to first order in the deviations of
+the readings from nominal. The neglected term is half the second derivative times the squared deviation times the
+parameter: 2e-16 rad for deviations and parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 """
 
 from typing import NamedTuple, Self
@@ -15,16 +15,16 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import GeometricErrorModel
 
-DERIVATIVE_STEP = 1e-4
-"""Step [m, rad] of the central difference for the derivative of a basis function; the relative error of the derivative
-is 1e-9.
-"""
+BASIS_DERIVATIVE_STEP = 1e-4
+"""Step [m, rad] of the central difference for the derivative of a basis function; the derivative has a relative error
+of 1e-9."""
 
 
-class ChainProgram(NamedTuple):
-    """Kinematic chain as arrays: rotations and translations (motions) from the base to the target, with parameters.
+class ChainArrays(NamedTuple):
+    """Kinematic chain as arrays: motions (rotations and translations) from the tracker's base to the target.
 
-    The amount of a motion is the angle [rad] of a rotation or the length [m] of a translation.
+    The amount of a motion is the angle [rad] of a rotation or the length [m] of a translation. Parameters change the
+    amounts.
     """
 
     is_rotation: Ints
@@ -32,7 +32,7 @@ class ChainProgram(NamedTuple):
     axis_indices: Ints
     """Coordinate axis of each motion, (motions,): 0 for x, 1 for y, 2 for z."""
     reading_signs: Floats
-    """Sign, (motions,), with which the reading enters the amount of each motion: 1 or -1."""
+    """Sign (1 or -1) with which a reading enters the amount of each motion, (motions,)."""
     reading_indices: Ints
     """Index of the reading that determines the amount of each motion, (motions,): 0 range, 1 azimuth, 2 elevation, -1
     none."""
@@ -40,15 +40,15 @@ class ChainProgram(NamedTuple):
     """Amount of each motion at the nominal readings, (motions, pointings, 2): length [m] of a translation in the first
     entry, or cosine and sine of a rotation."""
     parameter_offsets: Ints
-    """Offsets (motions + 1,) into `parameter_indices`: the parameters of motion m are ``parameter_indices[offsets[m] :
-    offsets[m + 1]]``."""
+    """Offsets (motions + 1,) into `parameter_indices`: the parameters that act on motion m are
+    ``parameter_indices[parameter_offsets[m] : parameter_offsets[m + 1]]``."""
     parameter_indices: Ints
-    """Indices of the parameters that act on the motions, listed motion by motion, shape (pairs of motion and
+    """Indices of the parameters that act on each motion, listed motion by motion, shape (pairs of motion and
     parameter,)."""
     depends_on_readings: Ints
-    """Mask (parameters,) of the parameters whose basis function depends on the readings."""
+    """Mask (parameters,), 1 for a parameter whose basis function depends on the readings."""
     basis_values: Floats
-    """Basis function of each parameter at the nominal readings, (parameters, pointings)."""
+    """Value of each parameter's basis function at the nominal readings, (parameters, pointings)."""
     basis_derivatives: Floats
     """Derivative of each basis function with respect to the three readings, (parameters, pointings, 3)."""
 
@@ -84,7 +84,8 @@ class ChainProgram(NamedTuple):
     def with_trial_axis(self, n_trials: int) -> Self:
         """Chain in which the arrays by pointing have an additional last axis for `n_trials` trials.
 
-        In the present arrays, the entries of all trials of a pointing follow each other along the axis of pointings.
+        In the arrays of this chain, the entries of all trials of a pointing follow each other along the axis of
+        pointings.
         """
 
         def per_trial(array_rows: Floats) -> Floats:
@@ -123,11 +124,11 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 
 def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
     """Derivative (parameters, pointings, 3) of each parameter's basis function by the readings, by differences."""
-    step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
+    step = BASIS_DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (
         construction.basis_values(shifted_readings)
         .T.reshape(construction.n_parameters, 2, 3, len(readings))
         .swapaxes(0, 1)
     )
-    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DERIVATIVE_STEP), 1, 2))
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * BASIS_DERIVATIVE_STEP), 1, 2))
