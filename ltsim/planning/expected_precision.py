@@ -159,7 +159,6 @@ RANGE_NOISE_GROUP_NAME = "range noise"
 ANGLE_NOISE_GROUP_NAME = "angle noise"
 """Name of the error group that holds the noise of azimuths and elevations."""
 REFERENCE_LENGTHS_GROUP_NAME = "gauge lengths"
-"""Name of the error group that holds the errors of the reference lengths of the gauge (reflectors at known distances).
 """Name of the error group with the errors of the reference lengths of the gauge (reflectors at known distances)."""
 REFLECTORS_GROUP_NAME = "reflectors"
 """Name of the error group that holds the errors of reflectors, which depend on the angle of incidence."""
