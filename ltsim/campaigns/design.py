@@ -29,7 +29,7 @@ MAX_DESIGN_KEYS = 64
 """Largest number of scenario keys that a design varies, each over a range of values."""
 
 
-class KeyRange(TomlSection):
+class ScenarioKeyRange(TomlSection):
     """Range over which a design varies one key of the scenario, in the unit of the key.
 
     The values are integers if the key takes integers.
@@ -65,7 +65,7 @@ class SpaceFillingDesign(TomlSection):
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cell_count: Annotated[int, Field(ge=2)]
     """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
-    ranges: Annotated[dict[str, KeyRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
+    ranges: Annotated[dict[str, ScenarioKeyRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
     """Range of each key, by dotted key or by a name in `[linked_keys]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")

@@ -268,7 +268,7 @@ class CatalogueDesigns:
                         effect_indices, simulated_log_evidence(eigenvectors @ trials, eigenvalues)
                     )
             screened_groups.append(replace(group, projected_gram=np.concatenate(grams)) if grams else group)
-        return values, family_sums.log_means, replace(self, groups=screened_groups)
+        return values, family_sums.log_mean_evidence_over_variants, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
         """Variants of each catalogue effect, without most effects of the ordinary calibration.
@@ -340,7 +340,7 @@ class FamilyEvidenceSums:
         return replace(self, log_sums=log_sums)
 
     @property
-    def log_means(self) -> Floats:
+    def log_mean_evidence_over_variants(self) -> Floats:
         """Log (families, trials) of the mean evidence of the variants of each effect in each simulation (trial)."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 

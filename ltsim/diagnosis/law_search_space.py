@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
 from ltsim.diagnosis.prior import (
-    PRIOR_PROBABILITY_BY_CAUSE_KIND,
+    PRIOR_PROBABILITY_BY_CAUSE_CLASS,
     PRIOR_PROBABILITY_BY_PLACE_KIND,
     PRIOR_PROBABILITY_BY_RESPONSE_KIND,
     PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
@@ -302,7 +302,7 @@ class _LawBatchBuilder:
                     cells[same],
                     stacked[responses],
                     columns[key],
-                    np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"] * share),
+                    np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"] * share),
                 )
             )
         n_entries = sum(

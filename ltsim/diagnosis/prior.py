@@ -18,7 +18,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.physics.effects import find_effect
 
-PRIOR_PROBABILITY_BY_CAUSE_KIND = {
+PRIOR_PROBABILITY_BY_CAUSE_CLASS = {
     "named": 0.53,
     "law": 0.3,
     "noise": 0.095,
@@ -33,7 +33,7 @@ CAUSE_KIND_DESCRIPTIONS = {
     "scatter": "another changed noise level",
     "constant": ("an instrument constant that contradicts the other instruments, its history or a declared correction"),
 }
-"""Description for users of each kind of cause of a misfit, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_KIND`."""
+"""Description for users of each kind of cause of a misfit, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_CLASS`."""
 P_UNMODELLED_CAUSE = 0.2
 """Prior probability that a cause is neither a catalogue effect nor an empirical law, but resembles one of these."""
 P_EVEN_ODDS = 0.5
@@ -81,15 +81,15 @@ effect with another name. They apply to effects that rarely occur twice."""
 def log_prior_of_each_explanation(cause_kind: str, n_explanations: int) -> float:
     """Log prior probability of each of `n_explanations` possible causes of one kind.
 
-    `cause_kind` is a key of `PRIOR_PROBABILITY_BY_CAUSE_KIND`.
+    `cause_kind` is a key of `PRIOR_PROBABILITY_BY_CAUSE_CLASS`.
     """
-    return float(np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND[cause_kind] / max(n_explanations, 1)))
+    return float(np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS[cause_kind] / max(n_explanations, 1)))
 
 
 def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
     """Log prior probabilities (n,) of n catalogue effects, given by name, in proportion to their base rates.
 
-    `cause_kind` is the key of `PRIOR_PROBABILITY_BY_CAUSE_KIND` with the probability that is divided among them.
+    `cause_kind` is the key of `PRIOR_PROBABILITY_BY_CAUSE_CLASS` with the probability that is divided among them.
     """
     rates = np.array([find_effect(name).base_rate for name in names])
     return log_prior_of_each_explanation(cause_kind, 1) + np.log(rates / rates.sum())
@@ -97,7 +97,7 @@ def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
 
 def prior_table_rows() -> Iterator[tuple[str, float]]:
     """Pairs of description and prior probability of every kind of cause; the probabilities add up to one."""
-    for kind, part in PRIOR_PROBABILITY_BY_CAUSE_KIND.items():
+    for kind, part in PRIOR_PROBABILITY_BY_CAUSE_CLASS.items():
         if kind != "law":
             yield CAUSE_KIND_DESCRIPTIONS[kind], part
             continue

@@ -168,7 +168,7 @@ def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]
     return [words for times, words in ranked if times > MIN_CERTAIN_ERROR_SIGMAS][:MAX_MODEL_EFFECTS]
 
 
-ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
+REPLACED_TIME_UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
 """Replacement of each unit of time, for a recording without a clock: unit ``rows`` and a factor on the value. One row
 of the recording then stands for one second."""
 
@@ -176,10 +176,10 @@ of the recording then stands for one second."""
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
     """Estimate for a recording without a clock, in which its unit of time is replaced by numbers of rows."""
     per, _, rate = parameter.unit.partition("/")
-    if rate in ROW_UNITS_BY_TIME_UNIT:
-        factor, unit = 1.0 / ROW_UNITS_BY_TIME_UNIT[rate][1], f"{per}/row"
-    elif parameter.unit in ROW_UNITS_BY_TIME_UNIT:
-        unit, factor = ROW_UNITS_BY_TIME_UNIT[parameter.unit]
+    if rate in REPLACED_TIME_UNITS_WITHOUT_CLOCK:
+        factor, unit = 1.0 / REPLACED_TIME_UNITS_WITHOUT_CLOCK[rate][1], f"{per}/row"
+    elif parameter.unit in REPLACED_TIME_UNITS_WITHOUT_CLOCK:
+        unit, factor = REPLACED_TIME_UNITS_WITHOUT_CLOCK[parameter.unit]
     else:
         return parameter
     value, sigma = factor * parameter.value, factor * parameter.sigma

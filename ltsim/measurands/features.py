@@ -84,7 +84,7 @@ def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> F
     direction = v[..., 0, :]
     along = np.einsum("...ni,...i->...n", centred_points, direction)
     perpendicular_parts = centred_points - along[..., None] * direction[..., None, :]
-    return _feature_without_radius(direction, np.linalg.norm(perpendicular_parts, axis=-1))
+    return _fitted_line_or_plane(direction, np.linalg.norm(perpendicular_parts, axis=-1))
 
 
 def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
@@ -92,10 +92,10 @@ def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> 
     _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
     normal = v[..., 2, :]
-    return _feature_without_radius(normal, np.einsum("...ni,...i->...n", centred_points, normal))
+    return _fitted_line_or_plane(normal, np.einsum("...ni,...i->...n", centred_points, normal))
 
 
-def _feature_without_radius(unit_normal: Floats, deviations: Floats) -> FittedFeature:
+def _fitted_line_or_plane(unit_normal: Floats, deviations: Floats) -> FittedFeature:
     """Line or plane through the origin with the direction `unit_normal`, and deviations of the points from it."""
     return FittedFeature(np.zeros_like(unit_normal), unit_normal, np.full(unit_normal.shape[:-1], np.nan), deviations)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.design import KeyRange, cell_label, short_key_names
+from ltsim.campaigns.design import ScenarioKeyRange, cell_label, short_key_names
 from ltsim.campaigns.spec import load_campaign, make_campaign_cells
 from ltsim.core.errors import InputError
 
@@ -84,7 +84,7 @@ def test_a_preset_is_swept_with_all_it_stands_for(tmp_path: Path) -> None:
 
 def test_whole_numbers_of_a_range_are_equally_likely() -> None:
     shares = (np.arange(1000) + 0.5) / 1000
-    values = KeyRange(low=1, high=4).values_at(shares, is_integer=True)
+    values = ScenarioKeyRange(low=1, high=4).values_at(shares, is_integer=True)
     assert np.bincount(values).tolist() == [0, 250, 250, 250, 250]
 
 

@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.prior import PRIOR_PROBABILITY_BY_CAUSE_KIND
+from ltsim.diagnosis.prior import PRIOR_PROBABILITY_BY_CAUSE_CLASS
 from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.turbulence import Turbulence
@@ -188,7 +188,7 @@ def test_a_wrong_declaration_of_the_noise_has_a_larger_prior_than_a_particular_c
     _, _, bank = repeated
     names = "noise-level", "turbulence", "station-noise"
     prior = dict(zip(names, np.exp([bank.log_prior_of_family(name) for name in names]), strict=True))
-    assert sum(prior.values()) == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"])
+    assert sum(prior.values()) == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_CLASS["noise"])
     assert prior["noise-level"] > prior["turbulence"] + prior["station-noise"]
     assert prior["turbulence"] == pytest.approx(prior["station-noise"])
 
@@ -222,7 +222,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
     space, _, bank = repeated
     white = space.project(random_stream(2, "white").standard_normal((space.n_equations, 200)))
     mean = np.log(np.exp(bank.log_evidence_by_family(white, space.redundancy)).mean(axis=1).sum())
-    assert mean < np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"] + PRIOR_PROBABILITY_BY_CAUSE_KIND["scatter"]) + 1.0
+    assert mean < np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS["noise"] + PRIOR_PROBABILITY_BY_CAUSE_CLASS["scatter"]) + 1.0
 
 
 def test_means_of_repeats_are_of_unit_variance(repeated):

@@ -19,7 +19,7 @@ from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import (
-    PRIOR_PROBABILITY_BY_CAUSE_KIND,
+    PRIOR_PROBABILITY_BY_CAUSE_CLASS,
     PRIOR_PROBABILITY_BY_PLACE_KIND,
     PRIOR_PROBABILITY_BY_RESPONSE_KIND,
     PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
@@ -64,7 +64,7 @@ def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
 def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
     for table in (
-        PRIOR_PROBABILITY_BY_CAUSE_KIND,
+        PRIOR_PROBABILITY_BY_CAUSE_CLASS,
         PRIOR_PROBABILITY_BY_PLACE_KIND,
         PRIOR_PROBABILITY_BY_RESPONSE_KIND,
         PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS,
@@ -84,10 +84,10 @@ def test_priors_sum_to_one_over_everything(space, made):
         noise._log_evidence_from_ratios(np.zeros((len(noise.hypotheses), 1))),
         [noise.log_prior_of_family(one.name) for one in noise.group_noise_hypotheses],
     )
-    assert laws == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"])
-    assert np.exp(families).sum() == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_KIND["named"])
+    assert laws == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"])
+    assert np.exp(families).sum() == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_CLASS["named"])
     assert np.exp(nothing).sum() == pytest.approx(
-        PRIOR_PROBABILITY_BY_CAUSE_KIND["noise"] + PRIOR_PROBABILITY_BY_CAUSE_KIND["scatter"]
+        PRIOR_PROBABILITY_BY_CAUSE_CLASS["noise"] + PRIOR_PROBABILITY_BY_CAUSE_CLASS["scatter"]
     )
 
 
@@ -203,7 +203,7 @@ def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
     """Marginal likelihood ratios average to one where there is nothing."""
     for _, _, null in made[2]:
-        assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR_PROBABILITY_BY_CAUSE_KIND["law"]) + 1.5
+        assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"]) + 1.5
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):

@@ -101,7 +101,7 @@ class BenchFile(ResultFile):
     vertex_axial: EstimateEntry
     """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component out of the
     open side of the reflector."""
-    vertex_side: EstimateEntry
+    vertex_offset_lateral: EstimateEntry
     """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component to the
     side."""
     unexplained_rms_um: Finite
@@ -116,7 +116,7 @@ class BenchFile(ResultFile):
             f"at {worst_angle.angle_deg:+.1f} deg",
             f"eccentricity of the sphere on the table: {phrase}; run-out {self.run_out_um:.1f} um",
             f"offset of the mirrors' vertex from the sphere's centre (smr-centring): {self.vertex_axial} axial, "
-            f"{self.vertex_side} to the side",
+            f"{self.vertex_offset_lateral} to the side",
             f"remaining error, which no offset explains (smr-incidence): {self.unexplained_rms_um:.2f} um rms",
         ]
         if [round(r.angle_deg, 3) for r in self.range_errors] == [
@@ -317,6 +317,6 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
             for angle, (read, error, sigma) in zip(record.table_angles_of_lengths / DEGREE, columns, strict=True)
         ),
         vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
-        vertex_side=entry(vertex.side_offset, vertex.side_sigma),
+        vertex_offset_lateral=entry(vertex.side_offset, vertex.side_sigma),
         unexplained_rms_um=vertex.unexplained_rms / MICROMETRE,
     )

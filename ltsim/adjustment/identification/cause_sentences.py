@@ -73,10 +73,10 @@ CAUSE_PHRASE_BY_REFERENCE_KIND = {
 def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on a selected hypothesis, with the size of the error and its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
-    return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
+    return (_centring_sentence if is_centring else _sentence_on_other_causes)(fit, hypothesis)
 
 
-def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
+def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):

@@ -73,7 +73,7 @@ _HEAD_COVARIATES = (
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
 """Names of the covariates that are angles or motions of the tracker head."""
-COVARIATES_BY_CHANGED_PART: dict[str, tuple[str, ...]] = {
+PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "instrument": (
         *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
         *("move-distance", "last-distance", "work-distance"),
@@ -162,7 +162,8 @@ def is_physically_possible(changed_part: str, regressor: Regressor, sightings: S
     """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return changed_part == "reading" or all(
-        n in COVARIATES_BY_CHANGED_PART[changed_part] or name_without_memory_prefix(n) in sightings.covariates
+        n in PERMITTED_COVARIATES_BY_AFFECTED_PART[changed_part]
+        or name_without_memory_prefix(n) in sightings.covariates
         for n in names
     )
 

@@ -71,8 +71,8 @@ MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
 """Median distance [m] between the coordinates of a target from two set-ups, below which the coordinates are already in
 one common frame."""
 CONVERTED_COORDINATES_NOTE = (
-    "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
-    "is that of single readings in both faces"
+    "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; each row is used as one "
+    "pointing with the declared noise, also if it is the mean of several readings"
 )
 """Note for the user on a table with coordinates in place of readings."""
 

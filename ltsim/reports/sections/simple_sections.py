@@ -48,7 +48,7 @@ from ltsim.reports.formatting import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
+EntryBetweenCalibrationsT = TypeVar("EntryBetweenCalibrationsT", ChangeEntry, EventEntry)
 """Type variable of an entry of a history that names two calibrations."""
 MIN_GOOD_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
@@ -349,7 +349,7 @@ def _with_short_labels(content: History) -> History:
     """History whose calibrations have shortened, but still distinct labels."""
     short = dict(zip(content.labels, labels_without_common_prefix(content.labels), strict=True))
 
-    def with_short_label(entry: NamedEntryT) -> NamedEntryT:
+    def with_short_label(entry: EntryBetweenCalibrationsT) -> EntryBetweenCalibrationsT:
         """Copy of an entry with the shortened labels of its calibrations."""
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
