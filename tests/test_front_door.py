@@ -167,7 +167,7 @@ def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
     assert words.effects == made.effects
     assert int((~words.is_fixed).sum()) == 1
     assert lt.adjust(recording, datum=["T01", "T05", "T12"]).frame.endswith("T01, T05, T12")
-    with pytest.raises(ModelError, match="no constant called 'colour'"):
+    with pytest.raises(ModelError, match="no shape parameter called 'colour'"):
         lt.Effect("index-drift", colour="red")
 
 

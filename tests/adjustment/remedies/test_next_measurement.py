@@ -141,7 +141,7 @@ def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tu
 
 def test_effects_that_cannot_be_compared_are_refused(drifting: tuple[Recording, Truth]) -> None:
     space = residual_space_of(adjust(drifting[0], misalignment_construction()))
-    with pytest.raises(ModelError, match="change of the noise"):
+    with pytest.raises(ModelError, match="changes the noise"):
         best_explanation(space, "noise-level")
     with pytest.raises(ModelError, match="did you mean"):
         best_explanation(space, "index-drft")
