@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.adjustment import adjust
+from ltsim.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import FloorPlanTransform
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
-from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
@@ -25,12 +24,15 @@ both have the same axes. Nominal positions are approximate by decimetres; in oth
 """
 
 
-def with_positions_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
+def with_positions_on_site(
+    recording: Recording, adjustment: Adjustment, search_space: SearchSpace, site_name: str
+) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The targets that have names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
-    nominal positions of the stations do, and the recording is returned unchanged. `search_space` is that of the plan,
-    `site_name` names the plan in errors.
+    `adjustment` is that of the network, with the identified causes of its misfit in the model. The targets that have
+    names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the nominal positions of
+    the stations do, and the recording is returned unchanged. `search_space` is that of the plan, `site_name` names the
+    plan in errors.
 
     Raises
     ------
@@ -39,7 +41,6 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
         positions in other axes than those of the site.
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
-    adjustment = adjust(recording, declared_construction(recording))
     plan = _site_transformation_from_points(
         recording, adjustment.state, search_space, adjustment.undetermined_targets, site_name
     )

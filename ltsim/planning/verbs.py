@@ -1,18 +1,28 @@
 """Public functions of planning: the search, alternatives to a station, the next measurement."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
-from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
+from ltsim.adjustment.remedies.network import PlannedNetwork as ExtendedNetwork
+from ltsim.adjustment.remedies.next_measurement import (
+    ProgressCallback,
+    no_progress,
+    rank_informative_measurements,
+    rank_measurements_between,
+)
+from ltsim.adjustment.snooping import without_copied_rows
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arguments import MAX_MAPPING_VALUE_MAGNITUDE, STATION_POSITION_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import declared_construction
 from ltsim.planning.multistart_search import PlanningProblem
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
@@ -96,7 +106,7 @@ def next_measurement(
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
-    """Ranking of additional measurements after a recording.
+    """Ranking of additional measurements after a recording, and the identified causes of a misfit of its readings.
 
     Parameters
     ----------
@@ -110,9 +120,9 @@ def next_measurement(
         name acts on the stations or targets where it fits the residuals best.
     site : str or Path, optional
         Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and obstacles
-        permit a tripod, and only for visible targets. The adjusted network is transformed to the axes of this plan by
-        the targets that have names of its points. If there are fewer than three such targets, the positions of the
-        stations in the set-up are used.
+        permit a tripod, and only for visible targets. The network, adjusted with the identified causes in its model,
+        is transformed to the axes of this plan by the targets that have names of its points. If there are fewer than
+        three such targets, the positions of the stations in the set-up are used.
     minutes_per_move : float
         Time [min] to move the tripod to another position.
     progress : callable
@@ -135,15 +145,27 @@ def next_measurement(
     """
     measured = load_recording(recording)
     space = None if site is None else plan_without_search(*load_plan_and_scenario(site))[1]
-    made = ranked(
-        measured if space is None else with_positions_on_site(measured, space, str(site)),
-        explanations=between,
-        with_effects=with_effects,
-        minutes_per_move=minutes_per_move,
-        visibility_function=None if space is None else _visibility_function(space),
-        progress=progress,
+    construction, source, visibility_function = (
+        declared_construction(measured),
+        SourceEntry.from_recording(measured),
+        None if space is None else _visibility_function(space),
     )
-    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
+    network = IdentifiedNetwork.from_recording(measured, construction)
+    if space is not None:
+        measured = with_positions_on_site(measured, network.adjustment, space, str(site))
+        network = IdentifiedNetwork.from_recording(measured, construction)
+    extended = ExtendedNetwork.from_adjustment(network.adjustment)
+    options: dict[str, Any] = {
+        "seconds_per_move": 60.0 * minutes_per_move,
+        "visibility_function": visibility_function,
+        "progress": progress,
+    }
+    if len(between) > 1:  # the effects are fitted to the readings as they are, linearised at the identified network
+        uncorrected = replace(extended, recording=without_copied_rows(measured)[0]).make_adjustment()
+        made = rank_measurements_between(uncorrected, between, with_effects, **options)
+    else:
+        made = rank_informative_measurements(extended, **options)
+    return NextMeasurement.from_ranking(made, source, site=str(site or ""))
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -254,6 +255,8 @@ class RankedProposals(ValueEquality):
     """Proposals, ordered by evidence between possible causes, or by information on the instrument."""
     compared_explanations: tuple[str, ...] = ()
     """Names of the possible causes to distinguish; empty for a ranking by information on the instrument."""
+    compared_places: tuple[str, ...] = ()
+    """Names of the stations and targets at which the possible causes act; empty if they act on the whole recording."""
     present_chi2_differences: dict[str, float] = field(default_factory=dict)
     """Difference of chi-square between the first and each other cause in the present recording, by name of the other
     cause."""
@@ -296,25 +299,48 @@ def rank_next_measurements(
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
+    options: dict[str, Any] = {
+        "seconds_per_move": 60.0 * minutes_per_move,
+        "visibility_function": visibility_function,
+        "progress": progress,
+    }
     if len(explanations) > 1:
-        plain = residual_space_of(adjustment)
-        extra_effects = [
-            best_explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)
-        ]
-        space = residual_space_of(adjustment, extra_effects)
-        asked = [best_explanation(space, name) for name in explanations]
-        return rank_deciding_measurements(
-            adjustment,
-            asked,
-            extra_effects,
-            seconds_per_move=60.0 * minutes_per_move,
-            visibility_function=visibility_function,
-            progress=progress,
-        )
-    network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    stations = station_candidates(network, move, visibility_function)
+        return rank_measurements_between(adjustment, explanations, with_effects, **options)
+    return rank_informative_measurements(PlannedNetwork.from_adjustment(adjustment), **options)
+
+
+def rank_measurements_between(
+    adjustment: Adjustment,
+    explanations: Sequence[str],
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
+    **options: Any,
+) -> RankedProposals:
+    """Proposals of further measurements, ranked by their evidence between effects that are given by name.
+
+    The effects act at the stations or targets where they fit the residuals of `adjustment` best. `with_effects` are
+    further effects of the model, and `options` those of `rank_deciding_measurements`.
+    """
+    plain = residual_space_of(adjustment)
+    extra_effects = [best_explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)]
+    space = residual_space_of(adjustment, extra_effects)
+    asked = [best_explanation(space, name) for name in explanations]
+    return rank_deciding_measurements(adjustment, asked, extra_effects, **options)
+
+
+def rank_informative_measurements(
+    network: PlannedNetwork,
+    *,
+    seconds_per_move: float = DEFAULT_MOVE_TIME,
+    visibility_function: VisibilityFunction | None = None,
+    progress: ProgressCallback = no_progress,
+) -> RankedProposals:
+    """Proposals of further measurements of a network, ranked by their information on the instrument.
+
+    `visibility_function` restricts the positions of additional stations and the targets that they measure.
+    """
+    stations = station_candidates(network, seconds_per_move, visibility_function)
     pointings = pointing_candidates(network, visibility_function=visibility_function)
-    candidates = *pointings, *repeated_setup_candidates(network, move), *stations
+    candidates = *pointings, *repeated_setup_candidates(network, seconds_per_move), *stations
     proposals = []
     for done, proposal in enumerate(_proposals_for(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
@@ -368,6 +394,7 @@ def rank_deciding_measurements(
     return RankedProposals(
         ranked_proposals,
         (first.effect.name, *rivals),
+        tuple(dict.fromkeys(name for e in explanations for name in (*e.effect.stations, *e.effect.targets))),
         {name: pair.present_chi2_difference for name, pair in rivals.items()},
     )
 
