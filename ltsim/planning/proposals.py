@@ -5,6 +5,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
+from ltsim.adjustment.identification import CauseTest
+from ltsim.adjustment.identification.recommendations import corrected_faults, recommendations_for_causes
 from ltsim.adjustment.remedies.candidates import list_text
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
 from ltsim.core.results import Column, Table, model_columns, text_columns
@@ -100,11 +102,15 @@ class NextMeasurement(ResultFile):
     """Result of the diagnosis that preceded the ranking, as a sentence; empty without a diagnosis."""
     compared_effects: tuple[str, ...] = ()
     """Effects that each explain the recording, and that the measurement should separate."""
+    compared_places: tuple[str, ...] = ()
+    """Stations and targets at which the `compared_effects` act; empty if they act on the whole recording."""
     present_chi2_differences: dict[str, Finite] = Field(default_factory=dict)
     """Difference of chi-square, in the present recording, between each other of the `compared_effects` and the first
     one, by name of the former."""
     advice: str = ""
     """Action that the user should take first, as a sentence."""
+    tests: tuple[CauseTest, ...] = ()
+    """Tests of the identified causes of a misfit of the recording, and of its outliers."""
     site: str = ""
     """Plan whose permitted floor, obstacles and lines of sight new stations respect; empty without a plan."""
     proposals: tuple[MeasurementProposalEntry, ...] = Field(min_length=1)
@@ -112,13 +118,25 @@ class NextMeasurement(ResultFile):
     station only the best yaw."""
 
     @classmethod
-    def from_ranking(cls, ranking: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
-        """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`."""
+    def from_ranking(
+        cls,
+        ranking: RankedProposals,
+        source: SourceEntry | None = None,
+        tests: Sequence[CauseTest] = (),
+        *,
+        site: str = "",
+    ) -> Self:
+        """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`.
+
+        `tests` are those of the identified causes of a misfit of the recording.
+        """
         return cls(
             recording=source,
             compared_effects=ranking.compared_explanations,
+            compared_places=ranking.compared_places,
             present_chi2_differences=ranking.present_chi2_differences,
             advice=ranking.advice_sentence,
+            tests=tuple(tests),
             site=site,
             proposals=_best_yaw_per_position(
                 [MeasurementProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]
@@ -128,7 +146,25 @@ class NextMeasurement(ResultFile):
     def _lines(self) -> list[str]:
         titles = [effect_title(name) for name in self.compared_effects]
         question = f" between {list_text(titles)}" if titles else ""
-        return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
+        next_line = f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"
+        return [*self.cause_sentences, *self.urgent_actions, next_line]
+
+    @property
+    def cause_sentences(self) -> tuple[str, ...]:
+        """Sentences on the identified causes of a misfit of the recording, without single outliers; empty for none."""
+        return tuple(test.sentence for test in corrected_faults(self._other_causes) if test.sentence)
+
+    @property
+    def urgent_actions(self) -> tuple[str, ...]:
+        """Actions against the causes of a misfit and single outliers, which precede other measurements."""
+        return tuple(recommendations_for_causes(self._other_causes))
+
+    @property
+    def _other_causes(self) -> list[CauseTest]:
+        """Identified causes without those at the places of the compared effects, which are other names for them."""
+        places = [{*test.where.stations, *test.where.targets} for test in self.tests]
+        is_compared = [bool(names) and names <= {*self.compared_places} for names in places]
+        return [test for test, compared in zip(self.tests, is_compared, strict=True) if not compared]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"proposals": self._proposals_table, "separation": self._chi2_differences_table}

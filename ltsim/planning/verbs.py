@@ -165,7 +165,7 @@ def next_measurement(
         made = rank_measurements_between(uncorrected, between, with_effects, **options)
     else:
         made = rank_informative_measurements(extended, **options)
-    return NextMeasurement.from_ranking(made, source, site=str(site or ""))
+    return NextMeasurement.from_ranking(made, source, network.tests, site=str(site or ""))
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
