@@ -19,7 +19,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_tests import ERROR_UNITS
+from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
@@ -43,13 +43,6 @@ def estimate_sigma_and_unit(
     estimated_size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
     sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(estimated_size), 1e-300)
     return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
-
-
-def misclosure_and_unit(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[float, str, float]:
-    """Misclosure of an excluded reference value [SI], and the name and the size [SI] of its display unit."""
-    assert isinstance(hypothesis.model_change, ReferenceOmission)
-    misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
-    return misclosure, *ERROR_UNITS.get(hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE))
 
 
 REFERENCE_PHRASES = {
@@ -78,11 +71,12 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
     if isinstance(hypothesis.model_change, NoiseFactor):
         return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
-        miss, unit, factor = misclosure_and_unit(fit, hypothesis)
+        estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
+        size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
         plural = hypothesis.model_change.reference_value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
         phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.error_description}"
-        return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
+        return f"{phrase} {verb} off by {size_text}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
     estimate = estimate_sigma_and_unit(hypothesis, values, covariance)
