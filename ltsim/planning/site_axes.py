@@ -117,7 +117,7 @@ def _require_on_allowed_floor(
 
     `positions` (S, 3) [m] are those of the S stations in the axes of the site.
     """
-    if not search_space.is_allowed(positions).any():
+    if not search_space.is_allowed(positions, needs_clearance=False).any():
         raise InputError(
             f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
             f"{_position_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"

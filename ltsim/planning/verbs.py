@@ -34,6 +34,7 @@ from ltsim.planning.site_axes import with_positions_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
+from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
@@ -145,14 +146,12 @@ def next_measurement(
     """
     measured = load_recording(recording)
     space = None if site is None else plan_without_search(*load_plan_and_scenario(site))[1]
-    construction, source, visibility_function = (
-        declared_construction(measured),
-        SourceEntry.from_recording(measured),
-        None if space is None else _visibility_function(space),
-    )
+    construction, source = declared_construction(measured), SourceEntry.from_recording(measured)
+    visibility_function: VisibilityFunction | None = None
     network = IdentifiedNetwork.from_recording(measured, construction)
     if space is not None:
         measured = with_positions_on_site(measured, network.adjustment, space, str(site))
+        visibility_function = _visibility_function(space, measured)
         network = IdentifiedNetwork.from_recording(measured, construction)
     extended = ExtendedNetwork.from_adjustment(network.adjustment)
     options: dict[str, Any] = {
@@ -168,18 +167,24 @@ def next_measurement(
     return NextMeasurement.from_ranking(made, source, network.tests, site=str(site or ""))
 
 
-def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
+def _visibility_function(search_space: SearchSpace, recording: Recording) -> VisibilityFunction:
     """Function of positions on a site that returns the targets visible from each; none where no tripod may stand.
 
-    A height outside the permitted range by less than the position tolerance is accepted.
+    A height outside the permitted range by less than the position tolerance is accepted. The stations of the recording
+    need no clearance from bodies, because they stood there.
     """
+    placed = [p for station in recording.setup.stations.values() if (p := station.position_mm) is not None]
+    recorded_positions = np.array(placed, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     low, high = np.array([area.head_height_range for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
         height = np.clip(places[:, 2], low.min(), high.max())
         is_near = np.abs(height - places[:, 2]) <= search_space.position_tolerance
         standing = np.column_stack([places[:, :2], np.where(is_near, height, places[:, 2])])
-        return np.asarray(search_space.is_visible(places, targets) & search_space.is_allowed(standing)[:, None])
+        distances = np.linalg.norm(places[:, None] - recorded_positions, axis=2)
+        is_new = distances.min(axis=1, initial=np.inf) > search_space.position_tolerance
+        is_allowed = search_space.is_allowed(standing, is_new)
+        return np.asarray(search_space.is_visible(places, targets) & is_allowed[:, None])
 
     return sights
 
