@@ -151,6 +151,7 @@ def run_campaign(
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
             load_cell_context.cache_clear()
+        store.sort_digests()
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)

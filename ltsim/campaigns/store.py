@@ -3,7 +3,7 @@
     manifest.json                          settings, seed, versions, commit; written before the first row
     campaign.toml                          copy of the campaign file
     rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one combination of factor levels (cell)
-    rows.sha256                            digest of each shard, as `sha256sum --check` reads it
+    rows.sha256                            digest of each shard, as `sha256sum --check` reads it; after a run in order
 
 A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend only on
 settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed between
@@ -254,7 +254,14 @@ class CampaignFolder:
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER_NAME}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
-            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_shard_digests().items()).encode()
+        self.sort_digests()
+
+    def sort_digests(self) -> None:
+        """Digests in the order of their shards, one line each; during a run they are in the order of completion."""
+        with self._storage_errors():
+            lines = "".join(
+                f"{digest}  {name}\n" for name, digest in sorted(self.recorded_shard_digests().items())
+            ).encode()
             file = path_in_folder(self.folder, DIGESTS_FILE_NAME)
             if file.exists() and read_whole_file(file) != lines:
                 write_files(self.folder, {DIGESTS_FILE_NAME: lines}, flush_to_disk=True)

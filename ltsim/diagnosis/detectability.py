@@ -14,7 +14,8 @@ from ltsim.adjustment.remedies.detectability import (
     subsample_evenly,
     visible_information,
 )
-from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_deciding_measurements, residual_space_of
+from ltsim.adjustment.remedies.explanations import best_explanation, residual_space_of
+from ltsim.adjustment.remedies.next_measurement import rank_deciding_measurements
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError

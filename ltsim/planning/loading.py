@@ -21,6 +21,7 @@ from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
+from ltsim.scene.clearance import StandClearance
 from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, is_allowed_position, tripod_grid_spacing
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
@@ -336,9 +337,12 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
         [grid_over_area(area, tripod_grid_spacing(areas, plan_file.search.grid_step_mm), 1) for area in areas]
     )
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
+    if obstacles is not None:
+        grid = grid[StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE).has_room(grid)]
     if not len(grid):
         raise InputError(
-            "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm"
+            "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm "
+            "or stations.clearance_mm"
         )
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles

@@ -5,6 +5,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
+from ltsim.adjustment.identification import CauseTest
+from ltsim.adjustment.identification.recommendations import corrected_faults, recommendations_for_causes
 from ltsim.adjustment.remedies.candidates import list_text
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
 from ltsim.core.results import Column, Table, model_columns, text_columns
@@ -107,27 +109,40 @@ class NextMeasurement(ResultFile):
     """Sentence with the result of the diagnosis that preceded the ranking; empty without a diagnosis."""
     compared_effects: tuple[str, ...] = ()
     """Effects each of which alone explains the recording; the measurement should distinguish them."""
+    compared_places: tuple[str, ...] = ()
+    """Stations and targets at which the `compared_effects` act; empty if they act on the whole recording."""
     present_chi2_differences: dict[str, Finite] = Field(default_factory=dict)
     """Chi-square of the present recording with each further effect of `compared_effects`, minus chi-square with the
     first effect, by name of the further effect."""
     advice: str = ""
     """Sentence with the action that the user should take first."""
+    tests: tuple[CauseTest, ...] = ()
+    """Tests of the identified causes of a misfit of the recording, and of its outliers."""
     site: str = ""
     """Name of the plan whose floor, obstacles and lines of sight limit new stations; empty without a plan."""
     proposals: tuple[MeasurementProposalEntry, ...] = Field(min_length=1)
     """Proposals of additional measurements, the best first; for each position of a new station only the best yaw."""
 
     @classmethod
-    def from_ranking(cls, ranking: RankedProposals, source: ResultSource | None = None, *, site: str = "") -> Self:
-        """Result from a ranking of proposals.
+    def from_ranking(
+        cls,
+        ranking: RankedProposals,
+        source: ResultSource | None = None,
+        tests: Sequence[CauseTest] = (),
+        *,
+        site: str = "",
+    ) -> Self:
+        """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`.
 
-        `source` is the recording for which the measurements are proposed, `site` the plan that limits new stations.
+        `tests` are those of the identified causes of a misfit of the recording.
         """
         return cls(
             recording=source,
             compared_effects=ranking.compared_explanations,
+            compared_places=ranking.compared_places,
             present_chi2_differences=ranking.present_chi2_differences,
             advice=ranking.advice_sentence,
+            tests=tuple(tests),
             site=site,
             proposals=_best_yaw_per_position(
                 [MeasurementProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]
@@ -137,7 +152,25 @@ class NextMeasurement(ResultFile):
     def _summary_lines(self) -> list[str]:
         titles = [effect_title(name) for name in self.compared_effects]
         question = f" between {list_text(titles)}" if titles else ""
-        return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
+        next_line = f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"
+        return [*self.cause_sentences, *self.urgent_actions, next_line]
+
+    @property
+    def cause_sentences(self) -> tuple[str, ...]:
+        """Sentences on the identified causes of a misfit of the recording, without single outliers; empty for none."""
+        return tuple(test.sentence for test in corrected_faults(self._other_causes) if test.sentence)
+
+    @property
+    def urgent_actions(self) -> tuple[str, ...]:
+        """Actions against the causes of a misfit and single outliers, which precede other measurements."""
+        return tuple(recommendations_for_causes(self._other_causes))
+
+    @property
+    def _other_causes(self) -> list[CauseTest]:
+        """Identified causes without those at the places of the compared effects, which are other names for them."""
+        places = [{*test.where.stations, *test.where.targets} for test in self.tests]
+        is_compared = [bool(names) and names <= {*self.compared_places} for names in places]
+        return [test for test, compared in zip(self.tests, is_compared, strict=True) if not compared]
 
     def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         return {"proposals": self._proposals_table, "separation": self._chi2_differences_table}

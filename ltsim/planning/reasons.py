@@ -274,13 +274,14 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     edge = [
         name
         for name, place in zip(names, survey.station_positions, strict=True)
-        if site.is_allowed(place[None])[0] and not site.is_allowed(place + steps).all()
+        if site.is_allowed(place[None], False)[0] and not site.is_allowed(place + steps, False).all()
     ]
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
         sentences.append(
             f"{', '.join(edge)} {verb} at the edge of the allowed floor; a larger floor there may improve the layout."
         )
+    sentences += site.clearance_limit_sentences(survey)
     if site.min_sights_per_target < len(names):
         least = survey.is_visible.sum(axis=0).min()
         sentences.append(f"Every reflector is visible from at least {least} station{'s' if least > 1 else ''}.")

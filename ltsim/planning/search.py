@@ -144,7 +144,7 @@ class LayoutSearcher:
         """
         blocks = self.normal_blocks_of_layout(position, yaw)
         is_permitted = (
-            self.search_space.is_allowed(position).all()
+            self.search_space.is_allowed_station(self.search_space.survey.replace(station_positions=position)).all()
             and self.search_space.is_feasible(position[None], blocks.is_visible[None])[0]
         )
         return StationLayout(position, yaw, self._objective_of_layout(blocks) if is_permitted else np.inf)

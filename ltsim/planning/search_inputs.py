@@ -23,6 +23,7 @@ from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import point_weights
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.scene.clearance import StandClearance
 from ltsim.scene.floor import areas_and_keep_outs
 from ltsim.scene.meshes import candidate_nest_positions, wall_triangles
 from ltsim.simulation.scenario import Scenario
@@ -123,6 +124,7 @@ def make_search_space(
                 f"requires only {least} to see it; give more stations, or a larger stations.min_stations_per_target"
             )
         least = MIN_STATIONS_FOR_RANGES_ONLY
+    obstacles, clearance = make_obstacles(scenario), plan.stations.clearance_mm * mm
     return SearchSpace(
         survey=survey_with_station_count(survey, n_stations).replace(
             faces=tuple(range(1, n_faces + 1)),
@@ -137,7 +139,8 @@ def make_search_space(
         sight_limits=make_sight_limits(scenario, scenario.instrument),
         position_tolerance=plan.stations.position_tolerance_mm * mm,
         is_aimed_nest=~layout.is_reaimed,
-        obstacles=make_obstacles(scenario),
+        obstacles=obstacles,
+        stand_clearance=None if obstacles is None else StandClearance(obstacles, clearance),
         min_station_spacing=plan.stations.spacing_mm * mm,
         min_sights_per_target=least,
         fixed_station_indices=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),

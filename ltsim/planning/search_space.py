@@ -18,6 +18,7 @@ from ltsim.core.errors import InputError
 from ltsim.core.notation import names_text
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.survey import PlannedSurvey
+from ltsim.scene.clearance import StandClearance
 from ltsim.scene.floor import (
     KeepOutArea,
     StandingArea,
@@ -35,6 +36,8 @@ MAX_COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
 STATION_SPACING_TOLERANCE = 1e-9
 """Amount [m] by which the distance of two stations may fall below the permitted one because of rounding."""
+MAX_RATIO_AT_CLEARANCE = 1.05
+"""Ratio of the distance of a station from a body to the clearance, below which the clearance limits the layout."""
 MAX_NEST_AIMING_STEPS = 60
 """Largest number of steps of the iteration that aims a fixed nest at all stations."""
 NEST_ANGLE_MARGIN = 0.004
@@ -98,6 +101,8 @@ class SearchSpace(ValueEquality):
     """Flags (T,): True for a target in a fixed nest that is aimed at the stations of every layout anew."""
     obstacles: Obstacles | None = None
     """Obstacles that block sights and tripods; None without obstacles."""
+    stand_clearance: StandClearance | None = None
+    """Clearance of stands from bodies; None without obstacles."""
     forbidden_areas: tuple[KeepOutArea, ...] = ()
     """Areas where no tripod may stand, even inside `allowed_areas`."""
     min_station_spacing: float = 1.0
@@ -126,9 +131,28 @@ class SearchSpace(ValueEquality):
         """Copy of the search space in which `changes` replace the fields with these names."""
         return replace(self, **changes)
 
-    def is_allowed(self, position: Floats) -> Bools:
-        """Flags (N,): True for each of N positions (N, 3) [m] of tracker heads where a tripod may stand."""
-        return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
+    def is_allowed(self, position: Floats, needs_clearance: Bools | bool = True) -> Bools:
+        """Flags (N,): True for each of N positions (N, 3) [m] of tracker heads where a tripod may stand.
+
+        `needs_clearance` (N,) is False for a station that exists, so that its stand has room beside bodies.
+        """
+        is_allowed = is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
+        tested = np.flatnonzero(is_allowed & needs_clearance)
+        if self.stand_clearance is not None and len(tested):
+            is_allowed[tested] = self.stand_clearance.has_room(position[tested])
+        return is_allowed
+
+    def is_allowed_station(self, survey: PlannedSurvey) -> Bools:
+        """Flags (S,): True for each of the S stations of a layout that stands where a tripod may stand.
+
+        Fixed stations, such as pillars and brackets on walls, need no clearance.
+        """
+        return self.is_allowed(survey.station_positions, self._needs_clearance(survey.station_names))
+
+    def _needs_clearance(self, station_names: Sequence[str]) -> Bools:
+        """Flags (S,): True for each of S stations that is not fixed."""
+        fixed_names = [self.survey.station_names[s] for s in self.fixed_station_indices]
+        return np.array([name not in fixed_names for name in station_names], dtype=bool)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
         """Flags (N, T): True if a target is visible from everywhere near a position (N, 3) [m].
@@ -171,12 +195,16 @@ class SearchSpace(ValueEquality):
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules on floor, coincidence and spacing that the positions of stations break; empty if none is broken."""
+        """Broken rules on floor, clearance, coincidence and spacing of the positions of stations; empty if all hold."""
         names, position = survey.station_names, survey.station_positions
         rules = []
-        for name, place in zip(names, position, strict=True):
+        for name, place, needs_clearance in zip(names, position, self._needs_clearance(names), strict=True):
             if why := tripod_refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
+            elif needs_clearance and self.stand_clearance and not self.stand_clearance.has_room(place[None])[0]:
+                distance, body = self.stand_clearance.nearest_body(place)
+                words = f"{name} stands {distance:.3f} m from {body or 'a body'}, closer than"
+                rules.append(BrokenRule(f"{words} {self.stand_clearance.radius:g} m (stations.clearance_mm)", (name,)))
         for s, t in np.argwhere(
             np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
         ).tolist():
@@ -188,6 +216,19 @@ class SearchSpace(ValueEquality):
             )
             rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
         return tuple(rules)
+
+    def clearance_limit_sentences(self, survey: PlannedSurvey) -> list[str]:
+        """Sentences on stations of a layout, as a list, that keep the clearance from bodies but hardly more."""
+        if self.stand_clearance is None:
+            return []
+        radius, position = self.stand_clearance.radius, survey.station_positions
+        wider = replace(self.stand_clearance, radius=MAX_RATIO_AT_CLEARANCE * radius)
+        is_near = self.stand_clearance.has_room(position) & ~wider.has_room(position)
+        return [
+            f"{survey.station_names[s]} is at the minimum clearance of {radius:g} m from "
+            f"{wider.nearest_body(position[s])[1] or 'a body'} (stations.clearance_mm)."
+            for s in np.flatnonzero(is_near).tolist()
+        ]
 
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules on sights that a layout breaks, according to `is_visible` of the survey; empty if none is broken."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.adjustment import adjust
+from ltsim.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import FloorPlanTransform
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, NetworkError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly, rotation_about_z
-from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
@@ -25,12 +24,15 @@ which the axes count as equal. Nominal positions are accurate to decimetres; in 
 """
 
 
-def with_station_poses_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
+def with_station_poses_on_site(
+    recording: Recording, adjustment: Adjustment, search_space: SearchSpace, site_name: str
+) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The axes follow from the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such
-    targets the nominal positions of the stations must be in these axes, and the recording is returned unchanged.
-    `search_space` is that of the plan, `site_name` the name of the plan in errors.
+    `adjustment` is that of the network, with the identified causes of its misfit in the model. The axes follow from the
+    targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such targets the nominal
+    positions of the stations must be in these axes, and the recording is returned unchanged. `search_space` is that of
+    the plan, `site_name` the name of the plan in errors.
 
     Raises
     ------
@@ -39,7 +41,6 @@ def with_station_poses_on_site(recording: Recording, search_space: SearchSpace, 
         positions in other axes than those of the site.
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
-    adjustment = adjust(recording, declared_construction(recording))
     plan = _site_transformation_from_points(
         recording, adjustment.state, search_space, adjustment.undetermined_targets, site_name
     )
@@ -117,7 +118,7 @@ def _require_on_allowed_floor(
 
     `positions` (S, 3) [m] are those of the S stations in the axes of the site.
     """
-    if not search_space.is_allowed(positions).any():
+    if not search_space.is_allowed(positions, needs_clearance=False).any():
         raise InputError(
             f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
             f"{_position_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"

@@ -57,6 +57,12 @@ class StationSettings(TomlSection):
     """Names of stations of the scenario that keep their positions."""
     spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
     """Smallest horizontal distance between two stations [mm], at least 1 mm."""
+    clearance_mm: NonNegative = 400.0
+    """Smallest horizontal distance of a station from bodies between floor and instrument: the room for its stand. The
+    default is the radius of the circle through three feet that are 0.7 m apart; stands of trackers need 300 to 500 mm,
+    a surveyor's tripod with feet 1 m apart 580 mm. Fixed stations need no clearance, nor does a wall of the hall,
+    whose distance is `floor.margin_mm`.
+    """
     position_tolerance_mm: NonNegative = 50.0
     """Largest distance [mm] of an instrument from its planned position at which every sight must still be free. A sight
     that is not free everywhere within it is marginal, and the plan does not use it."""

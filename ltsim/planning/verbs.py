@@ -1,13 +1,22 @@
 """Public functions of planning: search for a layout, alternatives to a station, next measurement."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
-from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
+from ltsim.adjustment.remedies.network import PlannedNetwork as ExtendedNetwork
+from ltsim.adjustment.remedies.next_measurement import (
+    ProgressCallback,
+    no_progress,
+    rank_informative_measurements,
+    rank_measurements_between,
+)
+from ltsim.adjustment.snooping import without_copied_rows
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arguments import (
     MAX_MAPPING_ARGUMENT_MAGNITUDE,
     STATION_POSITION_SYNTAX,
@@ -18,6 +27,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import declared_construction
 from ltsim.planning.multistart_search import PlanningProblem
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
@@ -29,6 +39,7 @@ from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
+from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import ResultSource
 from ltsim.simulation.scenario import Scenario
@@ -101,7 +112,7 @@ def next_measurement(
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
-    """Ranking of additional measurements after a recording.
+    """Ranking of additional measurements after a recording, and the identified causes of a misfit of its readings.
 
     Parameters
     ----------
@@ -115,9 +126,9 @@ def next_measurement(
         name acts on the stations or targets where it fits the residuals best.
     site : str or Path, optional
         Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and obstacles
-        permit a tripod, and only for visible targets. The adjusted network is transformed to the axes of this plan by
-        the targets that have names of its points. If there are fewer than three such targets, the positions of the
-        stations in the set-up are used.
+        permit a tripod, and only for visible targets. The network, adjusted with the identified causes in its model,
+        is transformed to the axes of this plan by the targets that have names of its points. If there are fewer than
+        three such targets, the positions of the stations in the set-up are used.
     minutes_per_move : float
         Time [min] to move the tripod to another position.
     progress : callable
@@ -140,29 +151,45 @@ def next_measurement(
     """
     measured = load_recording(recording)
     space = None if site is None else plan_without_search(*load_plan_and_scenario(site))[1]
-    made = ranked(
-        measured if space is None else with_station_poses_on_site(measured, space, str(site)),
-        explanations=between,
-        with_effects=with_effects,
-        minutes_per_move=minutes_per_move,
-        visibility_function=None if space is None else _visibility_function(space),
-        progress=progress,
-    )
-    return NextMeasurement.from_ranking(made, ResultSource.from_recording(measured), site=str(site or ""))
+    construction, source = declared_construction(measured), ResultSource.from_recording(measured)
+    visibility_function: VisibilityFunction | None = None
+    network = IdentifiedNetwork.from_recording(measured, construction)
+    if space is not None:
+        measured = with_station_poses_on_site(measured, network.adjustment, space, str(site))
+        visibility_function = _visibility_function(space, measured)
+        network = IdentifiedNetwork.from_recording(measured, construction)
+    extended = ExtendedNetwork.from_adjustment(network.adjustment)
+    options: dict[str, Any] = {
+        "seconds_per_move": 60.0 * minutes_per_move,
+        "visibility_function": visibility_function,
+        "progress": progress,
+    }
+    if len(between) > 1:  # the effects are fitted to the readings as they are, linearised at the identified network
+        uncorrected = replace(extended, recording=without_copied_rows(measured)[0]).make_adjustment()
+        made = rank_measurements_between(uncorrected, between, with_effects, **options)
+    else:
+        made = rank_informative_measurements(extended, **options)
+    return NextMeasurement.from_ranking(made, source, network.tests, site=str(site or ""))
 
 
-def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
-    """Function of positions and targets on a site that flags the targets in sight; none where no tripod may stand.
+def _visibility_function(search_space: SearchSpace, recording: Recording) -> VisibilityFunction:
+    """Function of positions on a site that returns the targets visible from each; none where no tripod may stand.
 
-    A height outside the permitted range is tolerated if it differs by less than the position tolerance.
+    A height outside the permitted range is tolerated if it differs by less than the position tolerance. The stations of
+    the recording need no clearance from bodies, because they stood there.
     """
+    placed = [p for station in recording.setup.stations.values() if (p := station.position_mm) is not None]
+    recorded_positions = np.array(placed, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     low, high = np.array([area.head_height_range for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
         height = np.clip(places[:, 2], low.min(), high.max())
         is_near = np.abs(height - places[:, 2]) <= search_space.position_tolerance
         standing = np.column_stack([places[:, :2], np.where(is_near, height, places[:, 2])])
-        return np.asarray(search_space.is_visible(places, targets) & search_space.is_allowed(standing)[:, None])
+        distances = np.linalg.norm(places[:, None] - recorded_positions, axis=2)
+        is_new = distances.min(axis=1, initial=np.inf) > search_space.position_tolerance
+        is_allowed = search_space.is_allowed(standing, is_new)
+        return np.asarray(search_space.is_visible(places, targets) & is_allowed[:, None])
 
     return sights
 

@@ -4,10 +4,8 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 import pyvista as pv
-from matplotlib.colors import ListedColormap
 from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
@@ -32,8 +30,9 @@ MAX_FINE_SPHERES = 150
 """Number of targets above which their spheres and ellipsoids are drawn with fewer facets."""
 MAX_MEDIUM_SPHERES = 600
 """Number of targets above which their spheres and ellipsoids are drawn with the fewest facets."""
-SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
-"""Colour map of the values of lines of sight."""
+SIGHT_COLOUR_MAP = style.darkened_colour_map("viridis", 0.95, max_luminance=0.2)
+"""Colour map of the values of lines of sight. It has a contrast of at least 3:1 to background, floor and walls, on
+light pages and on dark ones, which invert the lightness. Source of the ratio: WCAG 2.1, success criterion 1.4.11."""
 
 vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning about a missing display
 
@@ -183,7 +182,6 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
         cmap=SIGHT_COLOUR_MAP,
         clim=(low, high if high > low else low + 1.0),
         line_width=1.6,
-        opacity=0.8,
         lighting=False,
         show_scalar_bar=False,
         name="sights",
@@ -212,7 +210,7 @@ def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_line
                 plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
         plotter.add_mesh(
             pv.merge(rims),
-            color=style.RED if k == 0 else style.ORANGE,
+            color=style.RED,
             line_width=3 if k == 0 else 1.5,
             lighting=False,
             name=f"rims-{k}",

@@ -16,6 +16,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads all forty formats to find it
 
@@ -92,6 +93,18 @@ _MATPLOTLIB_SETTINGS: dict[Any, Any] = {
 }
 """Settings of matplotlib for all figures."""
 DrawParameters = ParamSpec("DrawParameters")
+
+
+def darkened_colour_map(name: str, upper_end: float, *, max_luminance: float) -> ListedColormap:
+    """Colour map `name` of matplotlib up to its fraction `upper_end`, without colours of a larger relative luminance.
+
+    Brighter colours are darkened to `max_luminance` (0 to 1), so that only their hue varies. Source of the relative
+    luminance: WCAG 2.1.
+    """
+    colours = mpl.colormaps[name](np.linspace(0.0, upper_end, 128))[:, :3]
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    linear *= np.minimum(max_luminance / (linear @ [0.2126, 0.7152, 0.0722]), 1.0)[:, None]
+    return ListedColormap(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055))
 
 
 def with_figure_style(draw: Callable[DrawParameters, Figure]) -> Callable[DrawParameters, Figure]:

@@ -162,8 +162,7 @@ def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_sa
     assert killed and present
     run_campaign(file, out, resume=True)
     assert contents(out) == contents(whole)
-    digests = [sorted((folder / "rows.sha256").read_text().splitlines()) for folder in (whole, out)]
-    assert digests[0] == digests[1]
+    assert (out / "rows.sha256").read_bytes() == (whole / "rows.sha256").read_bytes()
     assert not [path for path in out.rglob("*") if path.suffix == ".damaged" or path.name.startswith(".ltsim-")]
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,12 +16,13 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 
+from ltsim.campaigns import campaign
 from ltsim.campaigns.campaign import git_commit_of_checkout, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import MAX_SHARDS
 from ltsim.campaigns.statistics import database_memory_limit
 from ltsim.campaigns.store import CampaignFolder
-from ltsim.core.errors import InputError, LtsimError
+from ltsim.core.errors import InputError, LtsimError, WorkerError
 from ltsim.core.limits import MAX_FILE_BYTES, MAX_READ_SHARD_ROWS
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
@@ -197,11 +201,41 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
     for cut in (whole[:-20], whole[:100], whole[:-1], whole + "abc", whole + whole, "\x00" + whole):
         digests.write_text(cut)
         assert run_campaign(file, out, resume=True).n_existing_shards == 2
-        assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
+        assert digests.read_text() == whole
         assert CampaignFolder(out).recorded_shard_digests().keys() == {
             f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)
         }
     assert not list(out.rglob(".ltsim-*"))
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_file_of_digests_is_the_same_for_any_order_of_completion(
+    interrupted: bool, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file.write_text(
+        FILE.replace("trials_per_shard = 256", "trials_per_shard = 16").replace("trials = 600", "trials = 40")
+    )
+    in_order, other_order = tmp_path / "in-order", tmp_path / "other-order"
+    run_campaign(file, in_order)
+
+    def last_shard_first(
+        function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]], *_: Any, **__: Any
+    ) -> Iterator[Any]:
+        for count, values in enumerate(reversed([*arguments])):
+            if interrupted and count == 3:
+                raise WorkerError("a worker process was killed")
+            yield function(*values)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(campaign, "run_parallel", last_shard_first)
+        with pytest.raises(InputError, match="was killed") if interrupted else nullcontext():
+            run_campaign(file, other_order)
+    if interrupted:
+        assert run_campaign(file, other_order, resume=True).n_existing_shards == 3
+    digests = (in_order / "rows.sha256").read_text()
+    assert (other_order / "rows.sha256").read_text() == digests
+    names = [line.split()[1] for line in digests.splitlines()]
+    assert len(names) == 6 and names == sorted(names)
 
 
 @pytest.mark.parametrize("name", ["rows", "rows.sha256", "manifest.json"])

@@ -50,4 +50,6 @@ def test_family_means_do_not_depend_on_the_batches() -> None:
     means = FamilyEvidenceSums.empty(family, 4, 6)
     for members in np.split(rng.permutation(50), [3, 20, 21]):
         means = means.with_effects(members, values[members])
-    np.testing.assert_allclose(means.log_mean_evidence_over_variants, log_mean_exp_by_group(values, family, 4), rtol=1e-12)
+    np.testing.assert_allclose(
+        means.log_mean_evidence_over_variants, log_mean_exp_by_group(values, family, 4), rtol=1e-12
+    )

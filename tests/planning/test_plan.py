@@ -160,7 +160,8 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.scenario_layout_evaluation is not None
     assert not made.scenario_layout_evaluation.survey.is_visible.all()
-    broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
+    near = r"S\d stands 0\.\d+ m from cabinet, closer than 0\.4 m .stations\.clearance_mm."
+    broken = rf"breaks rules of the plan: {near}.*; T.* fewer than 5 stations .stations.min_stations_per_target. .S"
     assert any(re.search(broken, sentence) for sentence in Plan.from_network(made).reasons)
     assert made.layout.survey.is_visible.all()
     x, y, _ = made.layout.survey.station_positions.T

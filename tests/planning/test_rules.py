@@ -78,6 +78,7 @@ def hall(tmp_path: Path) -> Path:
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
         ((4100, 900), (2000, 2000), "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"),
         ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles: crate)"),
+        ((4195, 2800), (2000, 2000), "S1 stands 0.005 m from crate, closer than 0.4 m (stations.clearance_mm)"),
     ],
 )
 def test_a_place_that_breaks_a_rule_is_refused_by_name(
@@ -96,6 +97,24 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
     assert rule in "; ".join(broken.sentence for broken in site.broken_rules(survey))
     assert LayoutSearcher(site, grid_step=1.5).evaluate_layout(position, survey.station_yaws).objective_value == np.inf
     assert file.stations.min_stations_per_target == 1
+
+
+def test_clearance_from_bodies_is_set_by_the_plan_and_not_required_of_fixed_stations(hall: Path) -> None:
+    near = {"S1": (3850, 2800), "S2": (5200, 1500)}
+    with pytest.raises(InputError, match=r"S1 stands 0\.350 m from crate, closer than 0\.4 m \(stations.clearance"):
+        lt.plan(hall, move=near)
+    hall.write_text(PLAN.replace("[stations]", "[stations]\nclearance_mm = 340"))
+    made = lt.plan(hall, move=near)
+    assert not made.broken_rules
+    assert "S1 is at the minimum clearance of 0.34 m from crate (stations.clearance_mm)." in made.reasons
+    _, site = plan_without_search(*load_plan_and_scenario(hall))
+    position = np.array([[4.195, 2.8, 1.5], [2.0, 2.0, 1.5]])
+    survey = site.survey.replace(station_positions=position, is_visible=site.is_visible(position))
+    fixed = site.replace(fixed_station_indices=(0,))
+    for space, n_rules in ((site, 1), (fixed, 0)):
+        assert len(space.broken_position_rules(survey)) == n_rules
+        assert space.is_allowed_station(survey).tolist() == [n_rules == 0, True]
+    assert site.stand_clearance is not None and site.stand_clearance.has_room(site.grid_station_positions(0.1, 1)).all()
 
 
 def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -9,10 +10,14 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
+from ltsim.physics.model.construction import declared_construction
 from ltsim.planning.proposals import MeasurementProposalEntry, NextMeasurement
 from ltsim.planning.result import load_plan_and_scenario
+from ltsim.planning.search_inputs import plan_without_search
+from ltsim.planning.site_axes import with_positions_on_site
 from ltsim.recordings import Recording
 
 MACHINE = np.array([[3700.0, 2900.0, 0.0], [5300.0, 4100.0, 2200.0]])
@@ -146,3 +151,56 @@ def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_pa
     renamed = measured.replace(targets=tuple(f"T{i}" for i in range(len(measured.targets))))
     with pytest.raises(InputError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):
         lt.next_measurement(with_stated_places(renamed, 30000.0, 0.0), site=hall)
+
+
+def with_wrong_ball(recording: Recording, station: int, radius_difference: float) -> Recording:
+    """Recording in which all distances of a station are longer by the difference [m] of two radii."""
+    readings = recording.readings.copy()
+    readings[recording.station == station, 0] += radius_difference
+    return recording.with_readings(readings)
+
+
+@pytest.mark.parametrize("radius_difference", [0.018, 0.3])
+def test_a_wrong_ball_does_not_move_the_network_on_the_site(
+    radius_difference: float, hall: Path, measured: Recording
+) -> None:
+    """Without the cause in the model stations were displaced by up to 8 mm (18 mm) and 194 mm (300 mm)."""
+    space = plan_without_search(*load_plan_and_scenario(hall))[1]
+
+    def positions(recording: Recording) -> np.ndarray:
+        adjustment = IdentifiedNetwork.from_recording(recording, declared_construction(recording)).adjustment
+        placed = with_positions_on_site(recording, adjustment, space, "hall")
+        return np.array([placed.setup.stations[name].position_mm for name in recording.stations])
+
+    wrong = with_wrong_ball(measured, 1, radius_difference)
+    assert positions(wrong) == pytest.approx(positions(measured), abs=0.1)
+    found, expected = (lt.next_measurement(recording, site=hall) for recording in (wrong, measured))
+    places, expected_places = ({p.position_mm for p in stations_of(made)} for made in (found, expected))
+    distances = np.linalg.norm(np.array([*places])[:, None] - np.array([*expected_places]), axis=2)
+    assert len(places) == len(expected_places) and distances.min(axis=1).max() < 50.0
+    assert not expected.tests and not expected.urgent_actions
+    (cause,) = found.tests
+    assert cause.where.stations == ("S2",) and cause.acts_on == "distance"
+
+
+def test_causes_in_a_recording_are_reported_with_every_ranking(
+    measured: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readings, is_outlier = measured.readings.copy(), (measured.station == 0) & (measured.target == 5)
+    readings[is_outlier, 0] += 0.004
+    lt.write(with_wrong_ball(measured.with_readings(readings), 1, 0.018), tmp_path / "rec")
+    row = int(np.flatnonzero(is_outlier)[0]) + 1
+    for options in ([], ["--between", "bearing-wobble,azimuth-harmonic"]):
+        out = tmp_path / f"next-{len(options)}"
+        assert run(["plan", "--after", str(tmp_path / "rec"), *options, "--out", str(out)]) == 0
+        text = capsys.readouterr().out
+        assert "The distances from S2 are 18.00" in text
+        assert "- Check the SMR and the distance constant at S2; correct the wrong one." in text
+        assert f"- Measure again P5 from S1 (row {row})." in text
+        assert [test["kind"] for test in json.loads((out / "next.json").read_text())["tests"]] == [
+            "constant-offset",
+            "outlier",
+        ]
+    between = lt.next_measurement(tmp_path / "rec", between=("range-step", "station-weather"))
+    assert between.compared_places == ("S2",) and len(between.tests) == 2
+    assert not between.cause_sentences and len(between.urgent_actions) == 1  # S2 is what is compared

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib import image
+from matplotlib.colors import to_rgb
 
 from ltsim.core.randomness import random_stream
 from ltsim.reports import scene3d, workshop_scene
@@ -34,6 +35,32 @@ def test_everything_stands_in_the_scene(scene: workshop_scene.WorkshopScene) -> 
     assert expected | {"tripods", "heads", "ellipsoids", "corrections", "rims-0", "rims-1"} <= names
     assert legend.colour_bar is not None
     plotter.close()
+
+
+def relative_luminance(colours: np.ndarray) -> np.ndarray:
+    """Relative luminance of sRGB colours (..., 3), 0 to 1, by WCAG 2.1."""
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return linear @ np.array([0.2126, 0.7152, 0.0722])
+
+
+def on_dark_page(colours: np.ndarray) -> np.ndarray:
+    """Colours (..., 3) after the filters `invert(1) hue-rotate(180deg)` of a dark page."""
+    to_grey = np.tile([0.213, 0.715, 0.072], (3, 1))
+    return np.clip((1.0 - colours) @ (2.0 * to_grey - np.eye(3)).T, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("page", ["light", "dark"])
+def test_lines_of_sight_have_the_contrast_of_graphics(page: str, scene: workshop_scene.WorkshopScene) -> None:
+    plotter, _ = scene3d.build_scene(scene)
+    assert plotter.actors["sights"].prop.opacity == 1.0
+    plotter.close()
+    lines = scene3d.SIGHT_COLOUR_MAP(np.linspace(0.0, 1.0, 128))[:, :3]
+    floor, wall = (np.array(to_rgb(colour)) for colour in (scene3d.FLOOR_COLOUR, scene3d.WALL_COLOUR))
+    for surroundings in (np.ones(3), floor, 0.45 + 0.55 * wall, 0.45 * floor + 0.55 * wall):
+        pair = (lines, surroundings) if page == "light" else (on_dark_page(lines), on_dark_page(surroundings))
+        light = [relative_luminance(colours) + 0.05 for colours in pair]
+        contrast = np.maximum(light[0] / light[1], light[1] / light[0])
+        assert contrast.min() >= 3.0
 
 
 def test_cone_ends_on_its_shadow(scene: workshop_scene.WorkshopScene) -> None:

@@ -19,7 +19,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
+from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
@@ -49,15 +49,6 @@ def estimate_sigma_and_unit(
     return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
 
 
-def misclosure_and_unit(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[float, str, float]:
-    """Misclosure of an excluded reference value [SI], name of its display unit, and size of this unit [SI]."""
-    assert isinstance(hypothesis.model_change, ReferenceOmission)
-    misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
-    return misclosure, *ERROR_UNIT_BY_REFERENCE_KIND.get(
-        hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE)
-    )
-
-
 CAUSE_PHRASE_BY_REFERENCE_KIND = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
@@ -84,12 +75,13 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     if isinstance(hypothesis.model_change, NoiseFactorChange):
         return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
-        miss, unit, factor = misclosure_and_unit(fit, hypothesis)
+        estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
+        size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
         plural = hypothesis.model_change.reference_value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
         words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
         phrase = f"{words} {hypothesis.reference_name_or_sentence}"
-        return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
+        return f"{phrase} {verb} off by {size_text}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
     estimate = estimate_sigma_and_unit(hypothesis, values, covariance)

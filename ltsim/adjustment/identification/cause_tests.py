@@ -11,7 +11,6 @@ from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTI
 from ltsim.adjustment.identification.cause_sentences import (
     cause_sentence,
     estimate_sigma_and_unit,
-    misclosure_and_unit,
     seating_row_numbers,
 )
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of_kind
@@ -25,6 +24,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.noise_sentences import estimated_noise_factor
+from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -116,8 +116,7 @@ def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedH
         size_entries = estimate_sigma_and_unit(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
         rank = len(h.model_change.reference_value.declared_sigmas)
-        miss, unit, factor = misclosure_and_unit(fit, h)
-        size_entries = {"estimate": miss / factor, "unit": unit}
+        size_entries = misclosure_estimate(fit, h)
     elif isinstance(h.model_change, NoiseFactorChange):
         size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):

@@ -1,15 +1,11 @@
-"""Next measurement that gives most information on the instrument, or that decides between possible causes of a misfit.
-
-The expected evidence between two causes is a difference of chi-square. If the first cause is true, it is the squared
-length of that part of its change of the residuals which no variant of the second cause (stations, targets, shape
-parameters) explains. As the true cause is unknown, the smaller of the two differences is used.
-"""
+"""Next measurement with most information on the instrument, or that decides between possible causes of a misfit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -27,14 +23,10 @@ from ltsim.adjustment.remedies.candidates import (
     repeated_setup_candidates,
     station_candidates,
 )
-from ltsim.adjustment.remedies.detectability import subsample_evenly
+from ltsim.adjustment.remedies.explanations import PossibleCause, RivalCauses, best_explanation, residual_space_of
 from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError
-from ltsim.physics.effects import effect_title, find_effect
-from ltsim.physics.effects.effect import Effect, NoiseEffect
+from ltsim.physics.effects import effect_title
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
@@ -54,126 +46,6 @@ ProgressCallback = Callable[[str, float], None]
 
 def no_progress(*_arguments: object) -> None:
     """Progress callback that does nothing."""
-
-
-@dataclass(frozen=True)
-class PossibleCause:
-    """Possible cause of a misfit: an effect in its best-fitting variant (stations, targets, shape parameters)."""
-
-    effect: Effect
-    """Effect with its stations, targets and shape parameters."""
-    parameter_values: Floats
-    """Estimates (p,) [SI] of the p linear parameters of the effect."""
-
-
-def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
-    return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
-
-
-def best_explanation(residual_space: ResidualSpace, name: str) -> PossibleCause:
-    """Best-fitting variant (stations, targets, shape parameters) of the effect `name` in a recording, with its size.
-
-    Raises ModelError for an unknown effect, for an effect on the noise, and if the effect does not change residuals.
-    """
-    kind = find_effect(name)
-    if issubclass(kind, NoiseEffect):
-        raise ModelError(f"{name} changes the noise; only effects that shift readings can be distinguished here")
-    best_so_far: PossibleCause | None = None
-    least = float(residual_space.whitened_residuals @ residual_space.whitened_residuals)
-    for effect in kind.candidates(residual_space.sightings):
-        values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.whitened_residuals)
-        if sum_of_squares < least:
-            least, best_so_far = sum_of_squares, PossibleCause(effect, values)
-    if best_so_far is None:
-        raise ModelError(
-            f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
-        )
-    return best_so_far
-
-
-def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Best-fitting values (p,) [SI] of the p parameters of an effect to whitened residuals (m,), and remaining squares.
-
-    The last result is the sum of squared residuals after the fit.
-    """
-    projected_design = residual_space.project(residual_space.whitened_design(effect))
-    if not np.isfinite(projected_design).all() or not projected_design.any():
-        return np.zeros(len(effect.parameters)), float(residual @ residual)
-    fitted_values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
-    return fitted_values, float(np.sum((residual - projected_design @ fitted_values) ** 2))
-
-
-@dataclass(frozen=True)
-class RivalCauses:
-    """Two possible causes of a misfit, with the variants (stations, targets, shape) in which one imitates the other."""
-
-    first_explanation: PossibleCause
-    """First possible cause."""
-    second_explanation: PossibleCause
-    """Second possible cause."""
-    rival_variants: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
-    """Variants of the second cause, each preceded by the chi-square of the first cause that it leaves unexplained.
-
-    The variant with the smallest chi-square is first. In the second element of the tuple the causes are exchanged.
-    Further pointings never decrease these values of chi-square, so that only variants with small values must be
-    computed again."""
-
-    @classmethod
-    def from_explanations(
-        cls, residual_space: ResidualSpace, first_explanation: PossibleCause, second_explanation: PossibleCause
-    ) -> RivalCauses:
-        """Pair of two possible causes, compared in the residual space of the present recording."""
-        return cls(
-            first_explanation,
-            second_explanation,
-            (
-                _variants_with_unexplained_part(residual_space, first_explanation, second_explanation.effect),
-                _variants_with_unexplained_part(residual_space, second_explanation, first_explanation.effect),
-            ),
-        )
-
-    @property
-    def present_chi2_difference(self) -> float:
-        """Expected difference of chi-square between the two causes with the present recording alone."""
-        return min(variants[0][0] for variants in self.rival_variants)
-
-    def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
-        """Expected difference of chi-square between the two causes in an extended recording with `residual_space`.
-
-        It is the smaller of two values: if the first cause is true, and if the second cause is true.
-        """
-        least = []
-        for truth, rival_variants in zip(
-            (self.first_explanation, self.second_explanation), self.rival_variants, strict=True
-        ):
-            residual_change = residual_space.project(
-                residual_space.whitened_design(truth.effect) @ truth.parameter_values
-            )
-            smallest = float(residual_change @ residual_change)
-            for before, effect in rival_variants:
-                if before >= smallest:
-                    break
-                smallest = min(smallest, _best_fitting_parameters(residual_space, effect, residual_change)[1])
-            least.append(smallest)
-        return min(least)
-
-
-def _variants_with_unexplained_part(
-    residual_space: ResidualSpace, true_explanation: PossibleCause, rival: Effect
-) -> list[tuple[float, Effect]]:
-    """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it leaves unexplained.
-
-    The variant with the smallest chi-square is first.
-    """
-    residual_change = residual_space.project(
-        residual_space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values
-    )
-    instances = [rival, *subsample_evenly(type(rival).candidates(residual_space.sightings))]
-    return sorted(
-        ((_best_fitting_parameters(residual_space, effect, residual_change)[1], effect) for effect in instances),
-        key=lambda pair: pair[0],
-    )
 
 
 @dataclass(frozen=True)
@@ -255,6 +127,8 @@ class RankedProposals(ValueEquality):
     """Proposals, ordered by evidence between possible causes, or by information on the instrument."""
     compared_explanations: tuple[str, ...] = ()
     """Names of the possible causes to distinguish; empty for a ranking by information on the instrument."""
+    compared_places: tuple[str, ...] = ()
+    """Names of the stations and targets at which the possible causes act; empty if they act on the whole recording."""
     present_chi2_differences: dict[str, float] = field(default_factory=dict)
     """Difference of chi-square between the first and each other possible cause in the present recording, by name of the
     other cause."""
@@ -297,25 +171,48 @@ def rank_next_measurements(
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
+    options: dict[str, Any] = {
+        "seconds_per_move": 60.0 * minutes_per_move,
+        "visibility_function": visibility_function,
+        "progress": progress,
+    }
     if len(explanations) > 1:
-        plain = residual_space_of(adjustment)
-        extra_effects = [
-            best_explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)
-        ]
-        space = residual_space_of(adjustment, extra_effects)
-        asked = [best_explanation(space, name) for name in explanations]
-        return rank_deciding_measurements(
-            adjustment,
-            asked,
-            extra_effects,
-            seconds_per_move=60.0 * minutes_per_move,
-            visibility_function=visibility_function,
-            progress=progress,
-        )
-    network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    stations = station_candidates(network, move, visibility_function)
+        return rank_measurements_between(adjustment, explanations, with_effects, **options)
+    return rank_informative_measurements(PlannedNetwork.from_adjustment(adjustment), **options)
+
+
+def rank_measurements_between(
+    adjustment: Adjustment,
+    explanations: Sequence[str],
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
+    **options: Any,
+) -> RankedProposals:
+    """Proposals of further measurements, ranked by their evidence between effects that are given by name.
+
+    The effects act at the stations or targets where they fit the residuals of `adjustment` best. `with_effects` are
+    further effects of the model, and `options` those of `rank_deciding_measurements`.
+    """
+    plain = residual_space_of(adjustment)
+    extra_effects = [best_explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)]
+    space = residual_space_of(adjustment, extra_effects)
+    asked = [best_explanation(space, name) for name in explanations]
+    return rank_deciding_measurements(adjustment, asked, extra_effects, **options)
+
+
+def rank_informative_measurements(
+    network: PlannedNetwork,
+    *,
+    seconds_per_move: float = DEFAULT_MOVE_TIME,
+    visibility_function: VisibilityFunction | None = None,
+    progress: ProgressCallback = no_progress,
+) -> RankedProposals:
+    """Proposals of further measurements of a network, ranked by their information on the instrument.
+
+    `visibility_function` restricts the positions of additional stations and the targets that they measure.
+    """
+    stations = station_candidates(network, seconds_per_move, visibility_function)
     pointings = pointing_candidates(network, visibility_function=visibility_function)
-    candidates = *pointings, *repeated_setup_candidates(network, move), *stations
+    candidates = *pointings, *repeated_setup_candidates(network, seconds_per_move), *stations
     proposals = []
     for done, proposal in enumerate(_proposals_for(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
@@ -369,6 +266,7 @@ def rank_deciding_measurements(
     return RankedProposals(
         ranked_proposals,
         (first.effect.name, *rivals),
+        tuple(dict.fromkeys(name for e in explanations for name in (*e.effect.stations, *e.effect.targets))),
         {name: pair.present_chi2_difference for name, pair in rivals.items()},
     )
 

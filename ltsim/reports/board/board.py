@@ -198,7 +198,7 @@ class MovableLayout:
         evaluation = {
             "reasons": visibility.reason_codes.tolist(),
             "hidden": int(InvisibilityReason.HIDDEN_BY_OBSTACLE),
-            "may_stand": self.search_space.is_allowed(survey.station_positions).tolist(),
+            "may_stand": self.search_space.is_allowed_station(survey).tolist(),
             "shadow": shadow_cone_radii(
                 survey.station_positions, 0.0, self.search_space.sight_limits.shadow_cone_opening
             ).tolist(),

@@ -280,6 +280,8 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
     answer = capitalised_sentence(content.advice) if content.compared_effects and content.advice else answer
+    answer = " ".join([answer, *content.cause_sentences])
+    assessment = "caution" if content.urgent_actions else assessment
     note = "Factors: standard deviation of a parameter after divided by before the measurement; mean and smallest."
     in_words = [
         entry.with_values(most_improved_parameter=parameter_text(entry.most_improved_parameter))
@@ -299,7 +301,7 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         KeyFigure("time for this measurement", duration_text(60 * best_proposal.minutes)),
         KeyFigure("mean decrease of sigma", f"{reductions[0]:.0f} %"),
     ]
-    actions = [capitalised_sentence(proposal.action) for proposal in content.proposals[:1]]
+    actions = [*content.urgent_actions, capitalised_sentence(best_proposal.action)]
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 

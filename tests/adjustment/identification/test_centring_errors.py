@@ -139,7 +139,9 @@ def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
     kinds = [(test.kind, test.where.stations, test.where.targets) for test in cause_tests(selection)]
     assert kinds[0] == ("centring", (), ())
     assert {kind for kind, _, _ in kinds} <= {"centring", "noise-level"}
-    assert cause_tests(selection)[0].sentence.startswith("Repeated pointings of a target from one set-up have common errors")
+    assert cause_tests(selection)[0].sentence.startswith(
+        "Repeated pointings of a target from one set-up have common errors"
+    )
     assert selection.fit.adjustment.p_value > 0.01
 
 

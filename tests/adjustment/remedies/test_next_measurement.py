@@ -17,14 +17,9 @@ from ltsim.adjustment.remedies.candidates import (
     repeated_setup_candidates,
     station_candidates,
 )
+from ltsim.adjustment.remedies.explanations import RivalCauses, best_explanation, residual_space_of
 from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.remedies.next_measurement import (
-    RivalCauses,
-    best_explanation,
-    rank_deciding_measurements,
-    rank_next_measurements,
-    residual_space_of,
-)
+from ltsim.adjustment.remedies.next_measurement import rank_deciding_measurements, rank_next_measurements
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding

@@ -86,6 +86,16 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
         lt.plan(hall, move=move)
 
 
+def test_a_station_beside_a_body_breaks_the_rule_of_clearance(hall: Path) -> None:
+    hall.write_text(hall.read_text().replace("[11400, 2800], [600, 2800]", "[11400, 3245], [600, 3245]"))
+    board = MovableLayout.from_plan(hall)
+    stations = board.hall_json()["stations"]
+    stations[0]["position_mm"][:2] = [7000.0, 3245.0]
+    found, said = board.evaluation_json(stations), board.verdict_json(stations)
+    assert re.match(r"S1 stands 0\.005 m from .*, closer than 0\.4 m \(stations\.clearance_mm\)", found["problem"])
+    assert found["may_stand"][0] is False and said is not None and not said["reached"]
+
+
 def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
