@@ -154,18 +154,19 @@ def run_campaign(
         store.sort_digests()
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
-        share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(f"{folder}: the rule [stop] made {n_reused} files of rows ({share:.0f} % of all) unnecessary")
+        share = n_reused / (len(cells) * campaign.n_shards_per_cell)
+        notes.append(
+            f"{folder}: the rule [stop] made {n_reused} files of rows ({100 * share:.0f} % of all) unnecessary"
+        )
     return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
 def _input_files(
     campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
-    """Contents, by name, of the input files to be stored with the rows: scenarios, points, CAD and campaign files.
+    """Contents of the input files to be stored with the rows, by name: scenarios, points, CAD files, campaign file.
 
-    If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
-    """
+    If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`."""
     names = (campaign.scenario, campaign.validation_points)
     named = [path for name in names if name and (path := path_relative_to_campaign_file(name, file))]
     contents = {path.name: read_whole_file(path) for path in named}

@@ -132,10 +132,9 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _station_count_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
-    """Clauses with the result for each number of stations; numbers with equal results share a clause.
+    """Clauses with the result for each number of stations, where `min_stations` stations must see each point.
 
-    `min_stations` is the number of stations that must see each point.
-    """
+    Numbers with equal results share a clause."""
 
     def result_text(count_result: StationCountResult) -> str:
         if count_result.max_tolerance_ratio is not None and np.isfinite(count_result.max_tolerance_ratio):

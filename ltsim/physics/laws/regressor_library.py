@@ -161,10 +161,9 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
     """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
+    permitted_names = PERMITTED_COVARIATES_BY_AFFECTED_PART.get(changed_part, ())
     return changed_part == "reading" or all(
-        n in PERMITTED_COVARIATES_BY_AFFECTED_PART[changed_part]
-        or name_without_memory_prefix(n) in sightings.covariates
-        for n in names
+        n in permitted_names or name_without_memory_prefix(n) in sightings.covariates for n in names
     )
 
 
