@@ -85,6 +85,10 @@ MAX_TOML_WORD_CHARACTERS = 1_000
 """Largest number of characters of a key without quotes, a number or a date in a TOML file; the longest number that is
 read has 40. The parser takes 130 bytes for each digit of a number.
 """
+MAX_TOML_TEXT_CHARACTERS = 10_000
+"""Largest number of characters of a text between quotes in a TOML file. Titles and comments are copied into results,
+whose texts have at most `MAX_RESULT_TEXT_CHARACTERS`.
+"""
 MAX_TOML_VALUES = 400_000
 """Largest number of keys, tables, arrays and commas in a TOML file. It corresponds to 20,000 points with three
 coordinates and a covariance matrix each.
@@ -98,6 +102,17 @@ object with its comma has three characters in the file and takes 64 bytes of mem
 MAX_RESULT_LIST_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Result files have an entry for each parameter, target or test;
 values of pointings are in tables. An entry takes 1 to 2 kB in a report.
+"""
+MAX_RESULT_TEXTS = 300_000
+"""Largest number of texts, lists and objects together in a result file: 10,000 entries with 30 of them each. A text
+takes 150 bytes in a report, whose libraries take 480 MB with pictures.
+"""
+MAX_RESULT_TEXT_CHARACTERS = 20_000
+"""Largest number of characters of a text in a result file; the longest that ltsim writes has 1,000, without texts of
+the user."""
+MAX_RESULT_MEAN_TEXT_CHARACTERS = 10
+"""Largest mean number of characters of the texts of a result file that has the largest permitted number of texts; the
+product of both limits is the largest number of characters of all texts.
 """
 
 MAX_RESULTS_OF_ALL_TASKS = 1_000
@@ -138,9 +153,10 @@ MAX_COVARIANCE_VALUES = 1_000_000
 """Largest number of values of a covariance matrix in an XML file: the upper triangle of 1,400 coordinates. A value
 takes 120 bytes while it is read.
 """
-MAX_JOINT_COVARIANCE_COORDINATES = 4_000
-"""Largest number of coordinates with a joint covariance matrix, for example of compared epochs; the matrix takes 130
-MB."""
+MAX_JOINT_COVARIANCE_COORDINATES = 1_500
+"""Largest number of coordinates with a joint covariance matrix, for example of compared epochs. A comparison of 500
+points that all moved takes 14 s and 420 MB, of 1,000 points more than two minutes and 1.2 GB.
+"""
 
 MAX_WORKBOOK_BYTES = 16 * BYTES_PER_MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
@@ -200,6 +216,9 @@ def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
 
     RecordError, which names `file`, is raised for more than `MAX_JOINT_COVARIANCE_COORDINATES` coordinates.
     """
-    if n_coordinates > MAX_JOINT_COVARIANCE_COORDINATES:
-        expected = f"expected at most {MAX_JOINT_COVARIANCE_COORDINATES}; leave out points"
+    if n_coordinates > (most := overridable_limit(MAX_JOINT_COVARIANCE_COORDINATES)):
+        expected = (
+            f"expected at most {most}: leave out points, or on a machine with more memory set the environment variable "
+            f"{POINTINGS_LIMIT_VARIABLE} to {n_coordinates}"
+        )
         raise RecordError(f"{n_coordinates} coordinates with a joint covariance matrix, {expected}", file=file)

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import scipy.linalg
 from pydantic import Field
 from scipy import special
 
@@ -25,6 +24,7 @@ from ltsim.core.notation import listing
 from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
+from ltsim.measurands.displacement_fit import DisplacementFit, WhitenedDifferences, coordinate_rows
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 DISPLACEMENTS_TABLE = Table(
@@ -135,14 +135,6 @@ class Comparison(ResultFile):
         return tuple(d.target for d in self.displacements if d.moved)
 
 
-def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
-    """Indices of the coordinates of `points` (point indices) in a vector that lists the coordinates point by point.
-
-    `n_axes` is the number of coordinates per point.
-    """
-    return (n_axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(n_axes)).ravel()
-
-
 @dataclass(frozen=True)
 class EpochDifference:
     """Coordinate differences of the points in two aligned epochs, their covariance, and the free motions.
@@ -198,27 +190,12 @@ class EpochDifference:
         keep = values > 1e-12 * values[-1]
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
-    def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design matrix: columns of the free motions, then of the displacements of the `moved_points`."""
-        columns = np.eye(len(self.coordinate_differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
-        return self._whitening_root @ np.hstack([self.free_motions, columns])
-
-    def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences after a fit of free motions and of displacements of `moved_points`."""
-        remaining, design = self._whitening_root @ self.coordinate_differences, self._whitened_design(moved_points)
-        basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
-        return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
-
-    def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Least-squares estimates of the free motions and of the displacements of `moved_points`, with covariance.
-
-        The shapes are (unknowns,) and (unknowns, unknowns): first the free motions, then each displaced point with one
-        unknown per compared axis.
-        """
-        design = self._whitened_design(moved_points)
-        column_norms = np.linalg.norm(design, axis=0)
-        inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
-        return inverse @ (self._whitening_root @ self.coordinate_differences), inverse @ inverse.T
+    @cached_property
+    def whitened(self) -> WhitenedDifferences:
+        """Differences, whitened by the root of their inverse covariance."""
+        return WhitenedDifferences(
+            self._whitening_root, self.coordinate_differences, self.free_motions, len(self.compared_axes)
+        )
 
 
 def congruence_test(
@@ -234,19 +211,16 @@ def congruence_test(
     """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
+    fit = difference.whitened.fit(moved)
     displacements = tuple(
-        _displacement_of_point(difference, i, moved, len(tested), alpha) for i in range(difference.n_points)
+        _displacement_of_point(difference, i, fit, len(tested), alpha) for i in range(difference.n_points)
     )
     statistic, dof, remaining = (
-        difference.sum_of_squares(),
+        difference.whitened.fit(()).sum_of_squares,
         difference.dof,
         difference.dof - len(difference.compared_axes) * len(moved),
     )
-    scale = (
-        float(difference.estimate_displacements(moved)[0][difference.free_motions.shape[1] - 1])
-        if difference.estimates_scale
-        else None
-    )
+    scale = float(fit.estimate[0][difference.free_motions.shape[1] - 1]) if difference.estimates_scale else None
     return Comparison(
         recording=epoch_sources[0],
         second_recording=epoch_sources[1],
@@ -255,7 +229,7 @@ def congruence_test(
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_without_moved_points=float(special.chdtrc(remaining, max(difference.sum_of_squares(moved), 0.0)))
+        p_value_without_moved_points=float(special.chdtrc(remaining, max(fit.sum_of_squares, 0.0)))
         if remaining > 0
         else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
@@ -269,48 +243,31 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
     Points with a significant displacement are added one by one. After each addition every displaced point is tested
     again, with the displacements of the other displaced points in the model.
     """
-    moved_points: list[int] = []
-    limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
+    limit = float(special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1)))
     max_moved = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
-    while len(moved_points) < min(len(tested_indices), max_moved):
-        now = difference.sum_of_squares(moved_points)
-        rest = [p for p in tested_indices if p not in moved_points]
-        drops = [now - difference.sum_of_squares([*moved_points, p]) for p in rest]
-        best = int(np.argmax(drops))
-        if drops[best] < limit:
-            break
-        moved_points.append(int(rest[best]))
-    for point in list(moved_points):
-        others = [p for p in moved_points if p != point]
-        if difference.sum_of_squares(others) - difference.sum_of_squares(moved_points) < limit:
-            moved_points = others
-    return moved_points
+    return difference.whitened.find_moved_points(tested_indices.tolist(), limit, max_moved)
 
 
 def _displacement_of_point(
-    difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
+    difference: EpochDifference, point: int, fit: DisplacementFit, n_tested: int, alpha: float
 ) -> Displacement:
     """Displacement of the point with index `point` relative to the stable points, and its test.
 
-    The displacements of `other_moved_points` (point indices) are in the model. The p-value is corrected for `n_tested`
-    tested points. The detectable displacement refers to the significance level `alpha`.
+    The displacements of the moved points of `fit` are in the model. The p-value is corrected for `n_tested` tested
+    points. The detectable displacement refers to the significance level `alpha`.
     """
     count, a = max(n_tested, 1), len(difference.compared_axes)
-    others = [p for p in other_moved_points if p != point]
-    values, joint = difference.estimate_displacements([*others, point])
-    drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
+    values, joint, drop = fit.displacement(point)
     needed = noncentrality(a, alpha=alpha / count)
-    visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
+    visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
-    shift[difference.compared_axes], covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = (
-        values[-a:],
-        joint[-a:, -a:],
-    )
+    shift[difference.compared_axes] = values
+    covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = joint
     factor = float(2.0 * special.gammaincinv(0.5 * a, 1.0 - GLOBAL_TEST_LEVEL))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
         target=difference.point_names[point],
-        moved=point in other_moved_points,
+        moved=point in fit.moved,
         position_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
         displacement_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),

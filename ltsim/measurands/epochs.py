@@ -20,15 +20,12 @@ from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air, displ
 from ltsim.calibration.identified_network import network_uncertainty_factor
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
+from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.notation import listing
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
-from ltsim.measurands.comparison import (
-    Comparison,
-    EpochDifference,
-    congruence_test,
-    coordinate_rows,
-)
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test
+from ltsim.measurands.displacement_fit import coordinate_rows
 from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observation_uncertainty_sources
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
@@ -180,6 +177,7 @@ def _stable_point_mask(
     for name in stable_names or ():
         if name not in common_names:
             raise unknown_name_error("common point", name, common_names)
+    require_small_joint_covariance(len(ALL_AXES) * len(common_names), None)
     if len(common_names) < n_frame_points + 1:
         needed = f"at least {n_frame_points + 1} are needed to detect that one of them moved"
         raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")

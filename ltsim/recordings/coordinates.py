@@ -24,6 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
+from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.files import SourceLocation, quoted_text, read_head
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
@@ -41,8 +42,6 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
-MAX_COVARIANCE_ASYMMETRY = 1e-6
-"""Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
@@ -353,7 +352,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
         covariance = (
-            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes])
+            read_covariance_matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes])
             * MILLIMETRE**2
         )
         return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
@@ -377,22 +376,3 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
     return stream.getvalue()
-
-
-def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
-    """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
-    sheet = read_sheets(path)[0]
-    (first, *body) = [row for row in sheet.rows if not row.is_comment]
-    names = list(map(unescape_formula, first.fields[1:]))
-    missing = [name for name in coordinate_names if name not in names]
-    if missing or [unescape_formula(row.fields[0]) for row in body] != names:
-        what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
-        raise RecordError(f"lacks {what}", file=path)
-    if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("has rows whose length differs from the header", file=path)
-    matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
-    sigma = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
-        raise RecordError("is not symmetric", file=path)
-    indices = [names.index(name) for name in coordinate_names]
-    return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]
