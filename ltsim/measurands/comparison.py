@@ -191,7 +191,7 @@ class EpochDifference:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     @cached_property
-    def whitened(self) -> WhitenedDifferences:
+    def whitened_differences(self) -> WhitenedDifferences:
         """Differences, whitened by the root of their inverse covariance."""
         return WhitenedDifferences(
             self._whitening_root, self.coordinate_differences, self.free_motions, len(self.compared_axes)
@@ -211,12 +211,12 @@ def congruence_test(
     """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
-    fit = difference.whitened.fit(moved)
+    fit = difference.whitened_differences.fit(moved)
     displacements = tuple(
         _displacement_of_point(difference, i, fit, len(tested), alpha) for i in range(difference.n_points)
     )
     statistic, dof, remaining = (
-        difference.whitened.fit(()).sum_of_squares,
+        difference.whitened_differences.fit(()).sum_of_squares,
         difference.dof,
         difference.dof - len(difference.compared_axes) * len(moved),
     )
@@ -245,7 +245,7 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
     """
     limit = float(special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1)))
     max_moved = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
-    return difference.whitened.find_moved_points(tested_indices.tolist(), limit, max_moved)
+    return difference.whitened_differences.find_moved_points(tested_indices.tolist(), limit, max_moved)
 
 
 def _displacement_of_point(

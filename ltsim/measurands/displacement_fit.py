@@ -15,12 +15,11 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 
-MIN_EIGENVALUE = 1e-12
+MIN_EIGENVALUE = float(np.square(MAX_SOLUTION_ROUNDING_ERROR))
 """Smallest eigenvalue of the normal equations of a point, relative to those of its columns, at which they determine a
-displacement in that direction."""
-MIN_DIAGONAL_RATIO = 1e-9
-"""Smallest diagonal entry of the triangular factor of a design with columns of norm 1 that has full rank."""
+displacement in that direction: the square of the smallest fraction of the columns that remains."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +89,22 @@ class WhitenedDifferences:
         for _ in range(2):  # a second time for rounding errors of the first
             columns = columns - basis @ (basis.T @ columns)
         vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        return np.asarray(vectors[:, sizes > np.sqrt(MIN_EIGENVALUE)])
+        return np.asarray(vectors[:, sizes > MAX_SOLUTION_ROUNDING_ERROR])
 
     def _without_insignificant(self, moved: list[int], limit: float) -> list[int]:
         """Points of `moved` whose displacement reduces the sum of squares by `limit` or more, tested one by one."""
         values, covariance = self.fit(moved).displacements
-        kept = list(moved)
+        remaining_points = list(moved)
         for point in moved:
-            own = self.rows([kept.index(point)])
-            others = np.setdiff1d(np.arange(len(values)), own)
-            weight = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
-            if values[own] @ weight @ values[own] < limit:
-                gain = covariance[np.ix_(others, own)] @ weight
-                values = values[others] - gain @ values[own]
-                covariance = covariance[np.ix_(others, others)] - gain @ covariance[np.ix_(own, others)]
-                kept.remove(point)
-        return kept
+            point_rows = self.rows([remaining_points.index(point)])
+            others = np.setdiff1d(np.arange(len(values)), point_rows)
+            weight = np.linalg.pinv(covariance[np.ix_(point_rows, point_rows)], hermitian=True)
+            if values[point_rows] @ weight @ values[point_rows] < limit:
+                gain = covariance[np.ix_(others, point_rows)] @ weight
+                values = values[others] - gain @ values[point_rows]
+                covariance = covariance[np.ix_(others, others)] - gain @ covariance[np.ix_(point_rows, others)]
+                remaining_points.remove(point)
+        return remaining_points
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,7 @@ class DisplacementFit:
         if design.shape[1] > len(design):
             return None
         basis, triangle = np.linalg.qr(design)
-        return (basis, triangle) if (np.abs(np.diag(triangle)) > MIN_DIAGONAL_RATIO).all() else None
+        return (basis, triangle) if (np.abs(np.diag(triangle)) > MAX_ROUNDING_ERROR).all() else None
 
     @cached_property
     def basis(self) -> Floats:
@@ -216,7 +215,7 @@ class DisplacementFit:
         blocks = self.data.blocks(residual_design)
         residuals = self.data.observations - self.basis @ (self.basis.T @ self.data.observations)
         norms = np.linalg.norm(residual_design, axis=0)
-        norms[norms < np.sqrt(MIN_EIGENVALUE) * np.linalg.norm(root, axis=0)] = 0.0
+        norms[norms < MAX_SOLUTION_ROUNDING_ERROR * np.linalg.norm(root, axis=0)] = 0.0
         return PointTests(blocks @ blocks.transpose(0, 2, 1), blocks @ residuals, norms.reshape(-1, axes))
 
     def displacement(self, point: int) -> tuple[Floats, Floats, float]:
@@ -232,15 +231,19 @@ class DisplacementFit:
                 return (*self.data.fit([*self.moved, point]).displacement(point)[:2], drop)
             return tests.values[point], tests.covariances[point], drop
         values, covariance = self.displacements
-        own = self.data.rows([self.moved.index(point)])
-        block = covariance[np.ix_(own, own)]
-        return values[own], block, float(values[own] @ np.linalg.pinv(block, hermitian=True) @ values[own])
+        point_rows = self.data.rows([self.moved.index(point)])
+        block = covariance[np.ix_(point_rows, point_rows)]
+        return (
+            values[point_rows],
+            block,
+            float(values[point_rows] @ np.linalg.pinv(block, hermitian=True) @ values[point_rows]),
+        )
 
 
 def _shortest_estimate(design: Floats, observations: Floats) -> tuple[Floats, Floats]:
     """Least-squares estimate (q,) of smallest norm for a design (m, q) without full rank, and its covariance (q, q)."""
     basis, triangle, order = scipy.linalg.qr(design, mode="economic", pivoting=True)
-    rank = int((np.abs(np.diag(triangle)) > MIN_DIAGONAL_RATIO).sum())
+    rank = int((np.abs(np.diag(triangle)) > MAX_ROUNDING_ERROR).sum())
     root = scipy.linalg.solve_triangular(triangle[:rank, :rank], np.eye(rank))
     undetermined = np.zeros((design.shape[1], design.shape[1] - rank))
     undetermined[order[:rank]] = -root @ triangle[:rank, rank:]

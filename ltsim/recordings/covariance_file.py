@@ -21,7 +21,7 @@ from ltsim.recordings.files import MAX_NUMBER_LENGTH, SourceLocation, quoted_tex
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
-FIELD_SEPARATORS = ",;\t"
+MATRIX_FIELD_SEPARATORS = ",;\t"
 """Possible separators of the fields; the most frequent one in the first row is used."""
 MAX_NUMBER_MAGNITUDE = 1e12
 """Largest magnitude of a number that is read without a closer look."""
@@ -69,14 +69,14 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     for number, line in enumerate(io.StringIO(text), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        separator = separator or max(FIELD_SEPARATORS, key=line.count)
+        separator = separator or max(MATRIX_FIELD_SEPARATORS, key=line.count)
         try:
             yield number, [field.strip() for field in next(csv.reader([line], delimiter=separator, strict=True))]
         except csv.Error as problem:
             raise SourceLocation(path, number).error(f"is not CSV ({problem})") from None
 
 
-def _numbers(texts: Sequence[str], where: SourceLocation) -> Floats:
+def _numbers(texts: Sequence[str], location: SourceLocation) -> Floats:
     """Numbers (n,) of the n texts of a row; raises RecordError."""
     if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and _NUMBER_CHARACTERS_PATTERN.fullmatch(" ".join(texts)):
         try:
@@ -86,4 +86,4 @@ def _numbers(texts: Sequence[str], where: SourceLocation) -> Floats:
         else:
             if (np.abs(numbers) <= MAX_NUMBER_MAGNITUDE).all():
                 return numbers
-    return np.array(list(map(where.number, texts)))
+    return np.array(list(map(location.number, texts)))
