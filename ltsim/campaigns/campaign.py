@@ -40,6 +40,7 @@ from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_er
 from ltsim.campaigns.truth import make_small_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
+from ltsim.core.limits import require_few_effects
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import quoted_text
@@ -189,6 +190,7 @@ def _configuration_notes(
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_input_error(f"{file}: {where}"):
             geometry = make_small_geometry(cell.scenario, campaign.seed)
+            require_few_effects(max(len(method.effects) for method in campaign.methods), len(geometry.sightings))
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
                 make_small_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)

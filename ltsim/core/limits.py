@@ -123,6 +123,10 @@ MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects of type B in an evaluation of uncertainty, and of effects that a method of a campaign
 estimates; each is linearised for all pointings. The catalogue has 60.
 """
+MAX_EFFECTS_TIMES_POINTINGS = 60_000
+"""Largest product of the numbers of effects that are estimated together and of pointings. In a calibration an effect
+takes 430 bytes for each pointing, and in a campaign 800: 7 effects of 14,000 pointings take 540 MB together.
+"""
 MAX_TRIALS_TIMES_RESULTS = 20_000_000
 """Largest product of the numbers of trials and of results in an evaluation of uncertainty; a trial of a result takes 16
 bytes."""
@@ -209,6 +213,20 @@ def overridable_limit(default_limit: int) -> int:
             f"the environment variable {POINTINGS_LIMIT_VARIABLE} is {text!r}; expected a whole number of pointings"
         )
     return max(default_limit, int(text or 0))
+
+
+def require_few_effects(n_effects: int, n_pointings: int) -> None:
+    """Check that the estimation of `n_effects` effects from `n_pointings` pointings fits in memory.
+
+    ModelError is raised if their product exceeds `MAX_EFFECTS_TIMES_POINTINGS`.
+    """
+    if n_effects * n_pointings > overridable_limit(MAX_EFFECTS_TIMES_POINTINGS):
+        most = overridable_limit(MAX_EFFECTS_TIMES_POINTINGS) // n_pointings
+        raise ModelError(
+            f"{n_effects} effects of {n_pointings} pointings are estimated together, expected at most {most}: estimate "
+            f"fewer effects, or on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} "
+            f"to {n_effects * n_pointings}"
+        )
 
 
 def require_small_joint_covariance(n_coordinates: int, file: object) -> None:

@@ -547,6 +547,26 @@ def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pyt
             lt.adjust(recording)
 
 
+def test_many_effects_of_many_pointings_are_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """30 effects of 30,000 pointings took more than four minutes; 28 of 14,000 pointings took 747 MB in a campaign."""
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    effects = ["target-moved:T01", "target-moved:T02"]
+    monkeypatch.setattr("ltsim.core.limits.MAX_EFFECTS_TIMES_POINTINGS", 2 * len(recording) - 1)
+    with pytest.raises(ModelError, match="2 effects of 140 pointings are estimated together, expected at most 1"):
+        lt.calibrate(recording, with_effects=effects)
+    assert lt.calibrate(recording, with_effects=effects[:1]).effects
+    tables = "".join(f'[[methods.effects]]\nname = "target-moved"\ntargets = ["{t[-3:]}"]\n' for t in effects)
+    file = tmp_path / "a.toml"
+    file.write_text(f'format = "ltsim-campaign/1"\ntrials = 2\n[[methods]]\nmethod = "network"\n{tables}')
+    with pytest.raises(LtsimError, match=r"cell 1 .*: 2 effects of 140 pointings are estimated together"):
+        lt.campaign(file, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, str(2 * len(recording)))
+    assert lt.calibrate(recording, with_effects=effects).effects
+
+
 def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.tile(np.arange(len(recording)), 5))
