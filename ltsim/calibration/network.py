@@ -27,7 +27,7 @@ from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.calibration.undetermined import undetermined_entries
 from ltsim.core.errors import ConvergenceError, LtsimError
-from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS
+from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS, require_few_effects
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
@@ -63,6 +63,7 @@ def calibrate_network(
         Effects of the catalogue and empirical laws that are estimated together with the parameters.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS, "a calibration")
+    require_few_effects(len(requested_effects), len(recording))
     model = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in requested_effects:

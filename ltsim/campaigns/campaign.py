@@ -40,6 +40,7 @@ from ltsim.campaigns.store import CAMPAIGN_FILE_NAME, CampaignFolder, interrupti
 from ltsim.campaigns.true_network import make_campaign_geometry
 from ltsim.core.arguments import check_argument_bounds, check_argument_choice
 from ltsim.core.errors import InputError, WorkerError, option_text, reraise_as_input_error
+from ltsim.core.limits import require_few_effects
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import safe_excerpt
@@ -155,9 +156,7 @@ def run_campaign(
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = n_reused / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(
-            f"{folder}: the rule [stop] made {n_reused} files of rows ({100 * share:.0f} % of all) unnecessary"
-        )
+        notes.append(f"{folder}: [stop] made {n_reused} files of rows ({100 * share:.0f} % of all) unnecessary")
     return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
@@ -166,7 +165,8 @@ def _input_files(
 ) -> dict[str, bytes]:
     """Contents of the input files to be stored with the rows, by name: scenarios, points, CAD files, campaign file.
 
-    If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`."""
+    If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
+    """
     names = (campaign.scenario, campaign.validation_points)
     named = [path for name in names if name and (path := path_relative_to_campaign_file(name, file))]
     contents = {path.name: read_whole_file(path) for path in named}
@@ -193,6 +193,7 @@ def _configuration_notes(
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with reraise_as_input_error(f"{file}: {where}"):
             geometry = make_campaign_geometry(cell.scenario, campaign.seed)
+            require_few_effects(max(len(method.effects) for method in campaign.methods), len(geometry.sightings))
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
                 make_campaign_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
@@ -349,10 +350,7 @@ def _pending_tasks_and_notes(
 
 
 def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the 95 % confidence interval of the mean of `statistic`, by cell and method.
-
-    Only the first `n_shards` shards of each cell (combination of factor levels) are used.
-    """
+    """Half-width of the 95 % confidence interval of a mean from the first `n_shards` shards, by cell and method."""
     return {
         (s.cell, s.method): 0.5 * (s.high - s.low)
         for s in CampaignStatistics(folder, n_shards).statistic_summaries(statistic)
@@ -362,10 +360,7 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
 def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Pairs of a task and the bytes of the file of rows (shard) that it computes, in the order of completion.
-
-    The existing rows of a shard are passed to the worker with the task.
-    """
+    """Pairs of a task and the bytes of the file of rows (shard) that it computes, in the order of completion."""
     pending_tasks = (
         replace(
             t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
 
 from ltsim.campaigns.design import Factor
+from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
 
@@ -298,6 +299,7 @@ class ManifestFile(ResultFile):
     """
 
     FILE: ClassVar[str] = "manifest.json"
+    MAX_TEXTS: ClassVar[int] = MAX_JSON_VALUES
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
     """Format and version of this file."""
     title: str = ""

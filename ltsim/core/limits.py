@@ -82,6 +82,10 @@ MAX_TOML_WORD_CHARACTERS = 1_000
 """Largest number of characters of a key without quotes, a number or a date in a TOML file; the longest number that is
 read has 40. The parser takes 130 bytes for each digit of a number.
 """
+MAX_TOML_TEXT_CHARACTERS = 10_000
+"""Largest number of characters of a text between quotes in a TOML file. Titles and comments are copied into results,
+whose texts have at most `MAX_RESULT_TEXT_CHARACTERS`.
+"""
 MAX_TOML_VALUES = 400_000
 """Largest number of keys, tables, arrays and commas in a TOML file. The limit permits 20,000 points with three
 coordinates and a covariance matrix each."""
@@ -93,6 +97,17 @@ empty object with its comma has three characters and takes 64 bytes of memory.""
 MAX_RESULT_LIST_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Such lists have one entry per parameter, target or test; values
 of pointings are in tables. An entry takes 1 to 2 kB in a report."""
+MAX_RESULT_TEXTS = 300_000
+"""Largest number of texts, lists and objects together in a result file: 10,000 entries with 30 of them each. A text
+takes 150 bytes in a report, whose libraries take 480 MB with pictures.
+"""
+MAX_RESULT_TEXT_CHARACTERS = 20_000
+"""Largest number of characters of a text in a result file; the longest that ltsim writes has 1,000, without texts of
+the user."""
+MAX_RESULT_MEAN_TEXT_CHARACTERS = 10
+"""Largest mean number of characters of the texts of a result file that has the largest permitted number of texts; the
+product of both limits is the largest number of characters of all texts.
+"""
 
 MAX_UNCERTAINTY_TASK_RESULTS = 1_000
 """Largest number of results of all tasks together in one evaluation of uncertainty. The result file contains the
@@ -100,7 +115,11 @@ correlation of each pair of results and may have at most `MAX_JSON_VALUES` value
 result take 80 kB, and are in memory four times."""
 MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects in an uncertainty budget (type B), and of effects that a calibration method of a campaign
-estimates. Each effect is linearised for all pointings. The catalogue has 60."""
+estimates. Each effect is linearised for all pointings. The catalogue has 60.
+"""
+MAX_EFFECTS_TIMES_POINTINGS = 60_000
+"""Largest product of the numbers of effects that are estimated together and of pointings. In a calibration an effect
+takes 430 bytes for each pointing, and in a campaign 800: 7 effects of 14,000 pointings take 540 MB together."""
 MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS = 20_000_000
 """Largest product of the number of Monte Carlo trials and the number of results in an evaluation of uncertainty. One
 trial of one result takes 16 bytes."""
@@ -129,9 +148,10 @@ MAX_COVARIANCE_VALUES = 1_000_000
 """Largest number of values of a covariance matrix in an XML file: the upper triangle of 1,400 coordinates. A value
 takes 120 bytes while it is read.
 """
-MAX_JOINT_COVARIANCE_COORDINATES = 4_000
-"""Largest number of coordinates with a joint covariance matrix, for example of compared epochs; the matrix takes 130
-MB."""
+MAX_JOINT_COVARIANCE_COORDINATES = 1_500
+"""Largest number of coordinates with a joint covariance matrix, for example of compared epochs. A comparison of 500
+points that all moved takes 14 s and 420 MB, of 1,000 points more than two minutes and 1.2 GB.
+"""
 
 MAX_WORKBOOK_BYTES = 16 * BYTES_PER_MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
@@ -183,11 +203,28 @@ def overridable_limit(default_limit: int) -> int:
     return max(default_limit, int(text or 0))
 
 
+def require_few_effects(n_effects: int, n_pointings: int) -> None:
+    """Check that the estimation of `n_effects` effects from `n_pointings` pointings fits in memory.
+
+    ModelError is raised if their product exceeds `MAX_EFFECTS_TIMES_POINTINGS`.
+    """
+    if n_effects * n_pointings > overridable_limit(MAX_EFFECTS_TIMES_POINTINGS):
+        most = overridable_limit(MAX_EFFECTS_TIMES_POINTINGS) // n_pointings
+        raise ModelError(
+            f"{n_effects} effects of {n_pointings} pointings are estimated together, expected at most {most}: estimate "
+            f"fewer effects, or on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} "
+            f"to {n_effects * n_pointings}"
+        )
+
+
 def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
     """Check that a joint covariance matrix of `n_coordinates` coordinates fits in memory.
 
     RecordError, which names `file`, is raised for more than `MAX_JOINT_COVARIANCE_COORDINATES` coordinates.
     """
-    if n_coordinates > MAX_JOINT_COVARIANCE_COORDINATES:
-        expected = f"expected at most {MAX_JOINT_COVARIANCE_COORDINATES}; leave out points"
+    if n_coordinates > (most := overridable_limit(MAX_JOINT_COVARIANCE_COORDINATES)):
+        expected = (
+            f"expected at most {most}: leave out points, or on a machine with more memory set the environment variable "
+            f"{POINTINGS_LIMIT_VARIABLE} to {n_coordinates}"
+        )
         raise RecordError(f"{n_coordinates} coordinates with a joint covariance matrix, {expected}", file=file)

@@ -1,6 +1,7 @@
 """Function calls in parallel worker processes; the workers exit with their parent process, even if it is killed."""
 
 import os
+import signal
 import threading
 import time
 import warnings
@@ -42,10 +43,10 @@ def run_parallel(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     return_as = "generator" if keeps_order else "generator_unordered"
-    watching = {"initializer": _watch_parent, "initargs": (os.getpid(),)}
+    watching = {"initializer": _start_worker, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=n_processes, return_as=return_as, batch_size=calls_per_batch)
-    with _without_working_folder():
+    with _without_working_folder(), _blocked_interrupts():
         results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
         with _without_working_folder():
@@ -76,6 +77,40 @@ def _without_working_folder() -> Iterator[None]:
             del os.environ[PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE]
         else:
             os.environ[PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE] = old_value
+
+
+@contextmanager
+def _blocked_interrupts() -> Iterator[None]:
+    """Context in which worker processes and threads start with a signal mask that blocks Ctrl-C.
+
+    A terminal sends Ctrl-C to all processes of a command. A worker that it reaches while it imports its modules would
+    print a traceback. The calling thread receives the signal at the end of the context.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # as on Windows
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    from joblib.externals.loky.backend import resource_tracker as loky_resource_tracker
+
+    for tracker in (loky_resource_tracker, resource_tracker):  # processes whose start unblocks Ctrl-C in this process
+        tracker.ensure_running()
+    old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
+
+
+def _start_worker(parent_process_id: int) -> None:
+    """Start of a worker process: Ctrl-C is left to the parent process, with which the worker ends.
+
+    Programs that the worker starts receive Ctrl-C as usual, because only a handler is replaced.
+    """
+    signal.signal(signal.SIGINT, lambda *_: None)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    _watch_parent(parent_process_id)
 
 
 def _watch_parent(parent_process_id: int) -> None:

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import scipy.linalg
 from pydantic import Field
 from scipy import special
 
@@ -27,6 +26,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.probability import p_value_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
+from ltsim.measurands.displacement_fit import DisplacementFit, WhitenedDifferences, coordinate_indices
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, ResultSource, Vector
 
 DISPLACEMENTS_TABLE = Table(
@@ -142,14 +142,6 @@ class Comparison(ResultFile):
         return tuple(d.target for d in self.displacements if d.moved)
 
 
-def coordinate_indices(points: Sequence[int] | Ints, n_axes: int) -> Ints:
-    """Indices of the coordinates of `points` (point indices) in a vector that lists all coordinates point by point.
-
-    `n_axes` is the number of coordinates per point.
-    """
-    return (n_axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(n_axes)).ravel()
-
-
 @dataclass(frozen=True)
 class EpochDifference:
     """Coordinate differences of points between two aligned epochs, with covariance and free motions.
@@ -206,30 +198,15 @@ class EpochDifference:
         keep = values > 1e-12 * values[-1]
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
-    def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design matrix of the free motions, then of the displacements of `moved_points` (point indices)."""
-        columns = np.eye(len(self.coordinate_differences))[:, coordinate_indices(moved_points, len(self.axis_indices))]
-        return self._whitening_root @ np.hstack([self.displacements_per_free_motion, columns])
-
-    def chi2_after_fit(self, moved_points: Sequence[int] = ()) -> float:
-        """Chi-square of the differences after a fit of the free motions and of the displacements of `moved_points`.
-
-        `moved_points` are point indices.
-        """
-        remaining, design = self._whitening_root @ self.coordinate_differences, self._whitened_design(moved_points)
-        basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
-        return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
-
-    def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Least-squares estimates of the free motions and of the displacements of `moved_points`, and their covariance.
-
-        The shapes are (unknowns,) and (unknowns, unknowns). The unknowns are the free motions, then for each moved
-        point one displacement per compared axis.
-        """
-        design = self._whitened_design(moved_points)
-        column_norms = np.linalg.norm(design, axis=0)
-        inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
-        return inverse @ (self._whitening_root @ self.coordinate_differences), inverse @ inverse.T
+    @cached_property
+    def whitened_differences(self) -> WhitenedDifferences:
+        """Differences, whitened by the root of their inverse covariance."""
+        return WhitenedDifferences(
+            self._whitening_root,
+            self.coordinate_differences,
+            self.displacements_per_free_motion,
+            len(self.axis_indices),
+        )
 
 
 def congruence_test(
@@ -245,16 +222,17 @@ def congruence_test(
     """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
+    fit = difference.whitened_differences.fit(moved)
     displacements = tuple(
-        _displacement_of_point(difference, i, moved, len(tested), alpha) for i in range(difference.n_points)
+        _displacement_of_point(difference, i, fit, len(tested), alpha) for i in range(difference.n_points)
     )
     statistic, dof, remaining = (
-        difference.chi2_after_fit(),
+        difference.whitened_differences.fit(()).sum_of_squares,
         difference.dof,
         difference.dof - len(difference.axis_indices) * len(moved),
     )
     scale = (
-        float(difference.estimate_displacements(moved)[0][difference.displacements_per_free_motion.shape[1] - 1])
+        float(fit.estimate[0][difference.displacements_per_free_motion.shape[1] - 1])
         if difference.estimates_scale
         else None
     )
@@ -266,7 +244,7 @@ def congruence_test(
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_without_moved_points=float(special.chdtrc(remaining, max(difference.chi2_after_fit(moved), 0.0)))
+        p_value_without_moved_points=float(special.chdtrc(remaining, max(fit.sum_of_squares, 0.0)))
         if remaining > 0
         else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
@@ -280,52 +258,32 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
     Points with a significant displacement are added one by one. At the end each of them is tested again, with the
     displacements of the other moved points in the model.
     """
-    moved_points: list[int] = []
-    limit = special.chdtri(len(difference.axis_indices), alpha / max(len(tested_indices), 1))
-    max_moved = max(
-        0,
-        difference.n_points
-        - (len(difference.axis_indices) if difference.displacements_per_free_motion.shape[1] else 0),
-    )
-    while len(moved_points) < min(len(tested_indices), max_moved):
-        now = difference.chi2_after_fit(moved_points)
-        rest = [p for p in tested_indices if p not in moved_points]
-        drops = [now - difference.chi2_after_fit([*moved_points, p]) for p in rest]
-        best = int(np.argmax(drops))
-        if drops[best] < limit:
-            break
-        moved_points.append(int(rest[best]))
-    for point in list(moved_points):
-        others = [p for p in moved_points if p != point]
-        if difference.chi2_after_fit(others) - difference.chi2_after_fit(moved_points) < limit:
-            moved_points = others
-    return moved_points
+    limit = float(special.chdtri(len(difference.axis_indices), alpha / max(len(tested_indices), 1)))
+    n_fixed = len(difference.axis_indices) if difference.displacements_per_free_motion.shape[1] else 0
+    max_moved = max(0, difference.n_points - n_fixed)
+    return difference.whitened_differences.find_moved_points(tested_indices.tolist(), limit, max_moved)
 
 
 def _displacement_of_point(
-    difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
+    difference: EpochDifference, point: int, fit: DisplacementFit, n_tested: int, alpha: float
 ) -> Displacement:
     """Displacement of the point with index `point` relative to the stable points, and its test.
 
-    The displacements of `other_moved_points` (point indices) are in the model. The p-value is corrected for `n_tested`
-    tested points. The detectable displacement refers to the significance level `alpha`.
+    The displacements of the moved points of `fit` are in the model. The p-value is corrected for `n_tested` tested
+    points. The detectable displacement refers to the significance level `alpha`.
     """
     count, a = max(n_tested, 1), len(difference.axis_indices)
-    others = [p for p in other_moved_points if p != point]
-    values, joint = difference.estimate_displacements([*others, point])
-    drop = difference.chi2_after_fit(others) - difference.chi2_after_fit([*others, point])
+    values, joint, drop = fit.displacement(point)
     needed = noncentrality(a, alpha=alpha / count)
-    visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
+    visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
-    shift[difference.axis_indices], covariance[np.ix_(difference.axis_indices, difference.axis_indices)] = (
-        values[-a:],
-        joint[-a:, -a:],
-    )
+    shift[difference.axis_indices] = values
+    covariance[np.ix_(difference.axis_indices, difference.axis_indices)] = joint
     factor = float(2.0 * special.gammaincinv(0.5 * a, 1.0 - GLOBAL_TEST_LEVEL))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
         target=difference.point_names[point],
-        moved=point in other_moved_points,
+        moved=point in fit.moved,
         position_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
         displacement_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),

@@ -19,10 +19,12 @@ from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air, displ
 from ltsim.calibration.identified_network import network_uncertainty_factor
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
+from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.notation import names_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_jacobian
-from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_indices
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test
+from ltsim.measurands.displacement_fit import coordinate_indices
 from ltsim.measurands.inputs import (
     CONTROL_POINTS_SOURCE_NAME,
     PRIOR_SOURCE_NAME,
@@ -122,10 +124,7 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
 
 
 def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: Callable[[], Comparison]) -> Comparison:
-    """Comparison of lists in one frame, with a note if one rigid motion of all points explains most displacements.
-
-    `compare_with_free_motions` compares the lists in separate frames, which shows such a motion.
-    """
+    """Comparison of lists in one frame, with a note if one rigid motion explains most displacements."""
     n_points = len(comparison.displacements)
     if 2 * len(comparison.moved_points) <= n_points:
         return comparison
@@ -181,6 +180,7 @@ def _stable_point_mask(
     for name in stable_names or ():
         if name not in common_names:
             raise unknown_name_error("common point", name, common_names)
+    require_small_joint_covariance(3 * len(common_names), None)
     if len(common_names) < n_frame_points + 1:
         needed = f"at least {n_frame_points + 1} are needed to detect that one of them moved"
         raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")

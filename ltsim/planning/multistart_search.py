@@ -5,7 +5,6 @@ Each combination of the number of stations and the number of faces is searched s
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from signal import SIG_IGN, SIGINT, signal
 from time import monotonic
 
 import numpy as np
@@ -132,9 +131,7 @@ def run_searches(
     jobs = min(jobs, len(tasks))
     work = ((problem, task, n, *(callbacks_of_task(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
-        for number, layout in run_parallel(
-            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, keeps_order=False
-        ):
+        for number, layout in run_parallel(_layout_of_start, work, jobs, keeps_order=False):
             finished += 1
             report_progress(finished / len(tasks))
             best_by_task.pop(number, None)
@@ -165,14 +162,6 @@ def _layout_of_start(
         return task_number, search_from_start(problem, task, report_progress, store_layout)
     except (InputError, NetworkError):
         return task_number, None
-
-
-def _layout_in_worker(
-    problem: PlanningProblem, task: SearchTask, task_number: int
-) -> tuple[int, ObjectiveAndSurvey | None]:
-    """Result of `_layout_of_start`, computed in a worker process that ignores Ctrl-C (the main process handles it)."""
-    signal(SIGINT, SIG_IGN)
-    return _layout_of_start(problem, task, task_number)
 
 
 def search_from_start(

@@ -134,7 +134,8 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 def _station_count_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses with the result for each number of stations, where `min_stations` stations must see each point.
 
-    Numbers with equal results share a clause."""
+    Numbers with equal results share a clause.
+    """
 
     def result_text(count_result: StationCountResult) -> str:
         if count_result.max_tolerance_ratio is not None and np.isfinite(count_result.max_tolerance_ratio):
@@ -367,10 +368,7 @@ def _reference_objective(plan: PlannedNetwork) -> float:
 
 
 def _undetermined_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence with the number of undetermined combinations of parameters and the measurement that determines most.
-
-    It is in a list, which is empty if all combinations are determined.
-    """
+    """Sentence on undetermined combinations of parameters and on the best further measurement, as a list; or empty."""
     information = plan.layout.expected_precision
     count = len(information.undetermined_combinations)
     if not count:

@@ -24,6 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
+from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
@@ -41,8 +42,6 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
-MAX_COVARIANCE_ASYMMETRY = 1e-6
-"""Largest permitted difference of the entries ij and ji of a covariance matrix, divided by the largest variance."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
 MAX_COORDINATE_READ_AS_METRES = 500.0
@@ -355,7 +354,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
         covariance = (
-            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in point_list.names for axis in axes])
+            read_covariance_matrix(companion, [f"{name}.{axis}" for name in point_list.names for axis in axes])
             * MILLIMETRE**2
         )
         return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, point_list.notes)
@@ -379,22 +378,3 @@ def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
     return stream.getvalue()
-
-
-def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
-    """Covariance matrix [mm^2] of the coordinates `coordinate_names`, which the file may contain in another order."""
-    sheet = read_sheets(path)[0]
-    (first, *body) = [row for row in sheet.rows if not row.is_comment]
-    names = list(map(unescape_formula, first.fields[1:]))
-    missing = [name for name in coordinate_names if name not in names]
-    if missing or [unescape_formula(row.fields[0]) for row in body] != names:
-        what = f"the coordinate {safe_excerpt(missing[0])}" if missing else "rows in the order of its columns"
-        raise RecordError(f"lacks {what}", file=path)
-    if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("contains rows with more or fewer cells than the header", file=path)
-    matrix = np.array([[SourceLocation(path, row.line).parse_number(text) for text in row.fields[1:]] for row in body])
-    sigma = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
-        raise RecordError("contains a matrix that is not symmetric", file=path)
-    indices = [names.index(name) for name in coordinate_names]
-    return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]

@@ -30,7 +30,13 @@ from pydantic_core import CoreSchema
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.equality import equal_values
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_JSON_VALUES, MAX_RESULT_LIST_ENTRIES
+from ltsim.core.limits import (
+    MAX_JSON_VALUES,
+    MAX_RESULT_LIST_ENTRIES,
+    MAX_RESULT_MEAN_TEXT_CHARACTERS,
+    MAX_RESULT_TEXT_CHARACTERS,
+    MAX_RESULT_TEXTS,
+)
 from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_texts
@@ -145,11 +151,13 @@ class ResultSource(Entry):
 class ResultFile(Entry, Result):
     """Base model of results: the object that a public function returns, which is also the content of its JSON file.
 
-    Subclasses define `FILE`, the name of the file, and the default of `format`. Arrays that are not in the file are
-    private attributes; a comparison of two results ignores them.
+    Subclasses set `FILE`, the name of the file, and `format`; `MAX_TEXTS` is the largest number of texts, lists and
+    objects together in a file that is read. Arrays that the file does not contain are in private attributes, which the
+    comparison of results ignores.
     """
 
     FILE: ClassVar[str]
+    MAX_TEXTS: ClassVar[int] = MAX_RESULT_TEXTS
     format: str
     """Format and version of the file, such as `ltsim-calibration/1`."""
     recording: ResultSource | None = None
@@ -227,10 +235,7 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     expected = model.model_fields["format"].default
     if version != expected:
         raise RecordError(f"format is '{safe_excerpt(str(version))}', expected '{expected}'", file=file)
-    for key, value in content.items():
-        if isinstance(value, list) and len(value) > MAX_RESULT_LIST_ENTRIES:
-            name = safe_excerpt(key, 100)
-            raise RecordError(f"{name} has {len(value)} entries, the limit is {MAX_RESULT_LIST_ENTRIES}", file=file)
+    _require_bounded_content(content, model.MAX_TEXTS, file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
@@ -238,6 +243,34 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
         key = "".join(f"{part}." for part in error["loc"])[:-1]
         wrong = safe_excerpt(error["msg"].removeprefix("Value error, "), 120)
         raise RecordError(f"{safe_excerpt(key, 100)}: {wrong}" if key else wrong, file=file) from None
+
+
+def _require_bounded_content(content: Mapping[str, Any], max_texts: int, file: Path) -> None:
+    """Check of the lengths of all lists, objects and texts of a result file before its model is built.
+
+    Raises RecordError for a list or object of more than `MAX_RESULT_LIST_ENTRIES` entries, for long texts, and for more
+    than `max_texts` texts, lists and objects together.
+    """
+    n_texts = n_characters = 0
+    waiting: list[tuple[str, Any]] = [("the file", content)]
+    while waiting:
+        key, value = waiting.pop()
+        if isinstance(value, str):
+            n_characters += len(value)
+            if len(value) > MAX_RESULT_TEXT_CHARACTERS:
+                what = f"{safe_excerpt(key, 100)} has {len(value)} characters"
+                raise RecordError(f"{what}, expected at most {MAX_RESULT_TEXT_CHARACTERS}", file=file)
+        elif len(value) > MAX_RESULT_LIST_ENTRIES:
+            what = f"{safe_excerpt(key, 100)} has {len(value)} entries"
+            raise RecordError(f"{what}, expected at most {MAX_RESULT_LIST_ENTRIES}", file=file)
+        else:
+            parts = value.items() if isinstance(value, dict) else ((key, part) for part in value)
+            waiting += [(name, part) for name, part in parts if isinstance(part, str | list | dict)]
+        n_texts += 1
+        if n_texts + len(waiting) > max_texts:
+            raise RecordError(f"has more than {max_texts} texts, lists and objects, the limit for reading", file=file)
+    if n_characters > (most := max_texts * MAX_RESULT_MEAN_TEXT_CHARACTERS):
+        raise RecordError(f"has texts of {n_characters} characters, expected at most {most} together", file=file)
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from ltsim.core.limits import (
     MAX_TOML_BYTES,
     MAX_TOML_DEPTH,
     MAX_TOML_KEYS,
+    MAX_TOML_TEXT_CHARACTERS,
     MAX_TOML_VALUES,
     MAX_TOML_WORD_CHARACTERS,
 )
@@ -62,7 +63,7 @@ def check_toml_limits(text: str, file: object) -> None:
     """Check of the number of keys and values and of the depth of tables in a TOML text, before it is parsed.
 
     Strings and comments do not count. Each part of a dotted key counts as a key. Each part, and each bracket around it,
-    adds one to the depth. Raises RecordError, which names `file`, also for a key or number with too many characters.
+    adds one to the depth. Raises RecordError, which names `file`, also for too long keys, numbers and texts.
     """
     keys = values = brackets = parts = line = 0
     is_header = False
@@ -83,17 +84,20 @@ def check_toml_limits(text: str, file: object) -> None:
             parts += 1
         elif mark in "\n=,":
             line, parts = token.end() if mark == "\n" else line, 0
-        elif len(mark) > MAX_TOML_WORD_CHARACTERS and mark[0] not in "\"'#":
+        elif mark[0] != "#" and len(mark) > (
+            most := MAX_TOML_TEXT_CHARACTERS if mark[0] in "\"'" else MAX_TOML_WORD_CHARACTERS
+        ):
+            kind = "text" if mark[0] in "\"'" else "key or number"
             raise SourceLocation(file, _line_number_of_token(token)).error(
-                f"a key or number is longer than {MAX_TOML_WORD_CHARACTERS} characters, the limit for reading"
+                f"a {kind} is longer than {most} characters, the limit for reading"
             )
         if brackets + parts > MAX_TOML_DEPTH:
             raise SourceLocation(file, _line_number_of_token(token)).error(
                 f"tables or keys are nested deeper than {MAX_TOML_DEPTH}, the limit for reading"
             )
         if keys > MAX_TOML_KEYS or values > MAX_TOML_VALUES:
-            most = f"{MAX_TOML_KEYS} keys and tables or {MAX_TOML_VALUES} values"
-            raise RecordError(f"holds more than {most}, the limit for reading", file=file)
+            what = f"{MAX_TOML_KEYS} keys and tables or {MAX_TOML_VALUES} values"
+            raise RecordError(f"holds more than {what}, the limit for reading", file=file)
 
 
 def _line_number_of_token(token: re.Match[str]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -124,6 +125,26 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setattr(effects, "_effect_list_line", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; no partial file remains\n"
+
+
+INTERRUPTED_IMPORT = """
+import builtins, os, signal
+real = builtins.__import__
+
+def interrupted(name, *arguments, **keywords):
+    if name == "typer":
+        os.kill(os.getpid(), signal.SIGINT)
+    return real(name, *arguments, **keywords)
+
+builtins.__import__ = interrupted
+from ltsim.__main__ import main
+main()
+"""
+
+
+def test_an_interruption_while_modules_are_imported_prints_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
 def test_hostile_names_are_text_on_the_terminal(

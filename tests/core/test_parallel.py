@@ -69,6 +69,33 @@ def test_workers_end_when_their_parent_is_killed_while_they_start(tmp_path: Path
     assert _until(lambda: not any(map(_lives, children)))
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the processes of a process are not listed here")
+def test_workers_that_ctrl_c_reaches_while_they_start_print_nothing(tmp_path: Path, root: Path) -> None:
+    """A terminal sends it to all processes of a command; those that imported their modules printed a traceback."""
+    code = SLEEPERS.replace("    list(", "    try:\n        list(") + "    except KeyboardInterrupt:\n        pass\n"
+    (tmp_path / "sleepers.py").write_text(code)
+    words = [sys.executable, str(tmp_path / "sleepers.py"), str(tmp_path)]
+    with subprocess.Popen(
+        words, cwd=root, env=_path(root), stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as parent:
+
+        def workers() -> list[int]:
+            files = Path(f"/proc/{parent.pid}/task").glob("*/children")
+            children = [int(word) for file in files for word in file.read_text().split()]
+            return [child for child in children if b"loky.backend.popen" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+        assert _until(lambda: len(workers()) == 2)
+        children = workers()
+        for _ in range(20):  # whatever they are doing
+            for child in children:
+                os.kill(child, signal.SIGINT)
+            time.sleep(0.02)
+        os.killpg(parent.pid, signal.SIGINT)
+        assert parent.communicate(timeout=120)[1] == ""
+    assert parent.returncode == 0
+    assert _until(lambda: not any(map(_lives, children)))
+
+
 def test_a_worker_that_is_killed_is_a_sentence() -> None:
     with pytest.raises(WorkerError, match="was killed"):
         list(run_parallel(_die, [(1,), (2,)], 2))

@@ -240,3 +240,27 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     few = EpochCoordinates("", two.names[:2], "xy", two.points[:2], two.covariance[:4, :4])
     with pytest.raises(LtsimError, match="share 2 points; at least 3"):
         compare_coordinates(few, few, has_free_motions=True)
+
+
+def test_a_covariance_matrix_is_read_whatever_its_width(tmp_path: Path) -> None:
+    """A file of more than 166 points in three axes, which adjust writes, was refused as a table of too many columns."""
+    names = [f"P{i}.{axis}" for i in range(200) for axis in "xyz"]
+    rows = [",".join([name, *("2" if i == j else "0" for j in range(600))]) for i, name in enumerate(names)]
+    points = [f"P{i},{i},{2 * i},{3 * i}" for i in range(200)]
+    (tmp_path / "a.csv").write_text("\n".join(("target,x_mm,y_mm,z_mm", *points)) + "\n")
+    file = tmp_path / "a.covariance.csv"
+    file.write_text("\n".join((",".join(["", *names]), "# of an adjustment", *rows)) + "\n")
+    assert np.array_equal(read_coordinates(tmp_path / "a.csv").covariance, 2e-6 * np.eye(600))
+    for changed, says in (
+        (rows[:-1], "lacks rows in the order of its columns"),
+        ([*rows, rows[0]], "lacks rows in the order of its columns"),
+        ([rows[1], rows[0], *rows[2:]], "lacks rows in the order of its columns"),
+        ([rows[0] + ",1", *rows[1:]], "has rows whose length differs from the header"),
+        ([rows[0].replace("2", "x"), *rows[1:]], "row 2: found 'x', expected a number"),
+        ([rows[0].replace("2", "1e999"), *rows[1:]], "row 2: found 1e999"),
+        ([rows[0].replace("2", "9" * 13), *rows[1:]], "row 2: found 9999999999999, expected a number of at most"),
+        ([rows[0].replace("2,0", "2,1"), *rows[1:]], "is not symmetric"),
+    ):
+        file.write_text("\n".join((",".join(["", *names]), *changed)) + "\n")
+        with pytest.raises(RecordError, match=says):
+            read_coordinates(tmp_path / "a.csv")

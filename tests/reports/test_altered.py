@@ -250,6 +250,25 @@ def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: P
 
 
 @pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ({"a": {f"k{i}": 1.0 for i in range(10_001)}}, "a has 10001 entries, expected at most 10000"),
+        ([[1.0] * 10_001], "other has 10001 entries, expected at most 10000"),
+        ({"a": "x" * 20_001}, "a has 20001 characters, expected at most 20000"),
+        ([["x"] * 10_000] * 30, "has more than 300000 texts, lists and objects"),
+        ([[[]] * 10_000] * 30, "has more than 300000 texts, lists and objects"),
+        (["x" * 19_990] * 151, "characters, expected at most 3000000 together"),
+        ([[1.0] * 10_000] * 20, ""),
+    ],
+)
+def test_a_result_with_many_or_long_texts_is_refused_before_it_is_built(value: Any, says: str, tmp_path: Path) -> None:
+    """Plans of 12 MB with 700,000 qualities, or of 29 MB with one text, took 960 and 740 MB in a report."""
+    refusal = sentence(tmp_path / "calibration.json", CONTENTS["calibration.json"] | {"other": value})
+    assert says in refusal
+    assert bool(says) == ("calibration.json: " in refusal)
+
+
+@pytest.mark.parametrize(
     ("name", "list_name"),
     [
         ("comparison.json", "displacements"),

@@ -1,0 +1,263 @@
+"""Least-squares fits of displacements of points between two epochs, and the search for the points that moved.
+
+All quantities are whitened: with the differences d of N points in a axes, their covariance C and a root R of its
+inverse (R C R^T = 1), the model is R d = R (F m + E s) + noise, where F m are free motions of all points and E s the
+displacements of the moved points. A point is added to the model by its residual design: its columns of R without their
+part in the space of the columns that the model already has. The cost of one addition is that of one product of R with a
+block of `a` columns, so that the cost of the search for any number of moved points is that of a decomposition of R.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
+
+MIN_EIGENVALUE = float(np.square(NORMAL_EQUATIONS_TOLERANCE))
+"""Smallest eigenvalue of the normal equations of a point, relative to those of its columns, at which they determine a
+displacement in that direction: the square of the smallest fraction of the columns that remains."""
+
+
+@dataclass(frozen=True)
+class WhitenedDifferences:
+    """Coordinate differences of N points in `n_axes` axes, whitened by the root of their inverse covariance."""
+
+    root: Floats
+    """Root R of the inverse covariance, shape (m, N axes); m is the rank of the covariance."""
+    differences: Floats
+    """Coordinate differences, second minus first epoch, point by point, shape (N axes,) [m]."""
+    free_motions: Floats
+    """Displacements of the points by a unit of each free motion, shape (N axes, free motions)."""
+    n_axes: int
+    """Number of compared axes."""
+
+    @cached_property
+    def observations(self) -> Floats:
+        """Whitened differences R d, shape (m,)."""
+        return self.root @ self.differences
+
+    @cached_property
+    def motion_design(self) -> Floats:
+        """Whitened design of the free motions, shape (m, free motions)."""
+        return self.root @ self.free_motions
+
+    def rows(self, points: Sequence[int]) -> Ints:
+        """Indices of the coordinates of `points` (indices), point by point."""
+        return coordinate_indices(points, self.n_axes)
+
+    def blocks(self, columns: Floats) -> Floats:
+        """Copy of the array (m, N axes) as one block for each point, shape (N, axes, m)."""
+        return columns.T.reshape(-1, self.n_axes, len(columns))
+
+    def fit(self, moved: Sequence[int]) -> "DisplacementFit":
+        """Least-squares fit of the free motions and of the displacements of the points `moved` (indices)."""
+        return DisplacementFit(self, tuple(moved))
+
+    def find_moved_points(self, tested: Sequence[int], limit: float, max_moved: int) -> list[int]:
+        """Indices of the points with a displacement, among at most `max_moved` of the `tested` ones.
+
+        The point that reduces the sum of squares most is added as long as it reduces it by `limit` or more. Afterwards
+        each added point is tested again, with the displacements of the other added points in the model.
+        """
+        start = self.fit(())
+        tests, basis, moved = start.point_tests, start.basis, list[int]()
+        is_open = np.isin(np.arange(len(tests.gradients)), tested)
+        while len(moved) < min(len(tested), max_moved):
+            drops = np.where(is_open, tests.chi2_drops, -np.inf)
+            best = int(np.argmax(drops))
+            if drops[best] < limit:
+                break
+            moved.append(best)
+            is_open[best] = False
+            added = self._residual_basis(basis, best, tests.column_norms[best])
+            basis = np.hstack([basis, added])
+            change = (added.T @ self.root).reshape(added.shape[1], -1, self.n_axes)
+            tests = PointTests(
+                tests.normals - np.einsum("bna,bnc->nac", change, change),
+                tests.gradients - np.einsum("bna,b->na", change, added.T @ self.observations),
+                tests.column_norms,
+            )
+        return self._without_insignificant(moved, limit)
+
+    def _residual_basis(self, basis: Floats, point: int, column_norms: Floats) -> Floats:
+        """Orthonormal basis (m, k) of the columns of a point without their part in the space of `basis` (m, q)."""
+        columns = self.root[:, self.rows([point])] / np.where(column_norms > 0, column_norms, np.inf)
+        for _ in range(2):  # a second time for rounding errors of the first
+            columns = columns - basis @ (basis.T @ columns)
+        vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.asarray(vectors[:, sizes > NORMAL_EQUATIONS_TOLERANCE])
+
+    def _without_insignificant(self, moved: list[int], limit: float) -> list[int]:
+        """Points of `moved` whose displacement reduces the sum of squares by `limit` or more, tested one by one."""
+        values, covariance = self.fit(moved).displacements
+        remaining_points = list(moved)
+        for point in moved:
+            point_rows = self.rows([remaining_points.index(point)])
+            others = np.setdiff1d(np.arange(len(values)), point_rows)
+            weight = np.linalg.pinv(covariance[np.ix_(point_rows, point_rows)], hermitian=True)
+            if values[point_rows] @ weight @ values[point_rows] < limit:
+                gain = covariance[np.ix_(others, point_rows)] @ weight
+                values = values[others] - gain @ values[point_rows]
+                covariance = covariance[np.ix_(others, others)] - gain @ covariance[np.ix_(point_rows, others)]
+                remaining_points.remove(point)
+        return remaining_points
+
+
+@dataclass(frozen=True)
+class PointTests:
+    """Tests of a displacement of each of N points in addition to a fit."""
+
+    normals: Floats
+    """Normal equations of the displacement of each point, after elimination of the fit, shape (N, axes, axes)."""
+    gradients: Floats
+    """Products of the residual designs with the residuals, shape (N, axes)."""
+    column_norms: Floats
+    """Norms of the residual design of each coordinate at the beginning of a search; 0 if it is undetermined, (N, axes).
+    """
+
+    @cached_property
+    def _eigensystem(self) -> tuple[Floats, Floats, Floats]:
+        """Eigenvalues (N, axes) and eigenvectors (N, axes, axes) of the scaled normal equations; scales (N, axes)."""
+        scale = np.divide(1.0, self.column_norms, out=np.zeros_like(self.column_norms), where=self.column_norms > 0)
+        return (*np.linalg.eigh(self.normals * scale[:, :, None] * scale[:, None, :]), scale)
+
+    @property
+    def are_determined(self) -> Bools:
+        """Mask (N,) of the points whose displacement is determined in all directions."""
+        return np.asarray(self._eigensystem[0].min(axis=1) > MIN_EIGENVALUE)
+
+    @cached_property
+    def _root(self) -> Floats:
+        """Matrices S with S S^T = covariance of the displacement, shape (N, axes, axes)."""
+        values, vectors, scale = self._eigensystem
+        root = np.where(values > MIN_EIGENVALUE, 1.0 / np.sqrt(np.maximum(values, MIN_EIGENVALUE)), 0.0)
+        return np.asarray(scale[:, :, None] * vectors * root[:, None, :])
+
+    @cached_property
+    def chi2_drops(self) -> Floats:
+        """Reductions of the sum of squares by a displacement of each point, shape (N,)."""
+        return np.square(np.einsum("nab,na->nb", self._root, self.gradients)).sum(axis=1)
+
+    @cached_property
+    def covariances(self) -> Floats:
+        """Covariance of the displacement of each point, shape (N, axes, axes); 0 along undetermined directions."""
+        return self._root @ self._root.transpose(0, 2, 1)
+
+    @cached_property
+    def values(self) -> Floats:
+        """Displacement of each point, shape (N, axes)."""
+        return np.einsum("nab,nb->na", self.covariances, self.gradients)
+
+
+@dataclass(frozen=True)
+class DisplacementFit:
+    """Least-squares fit of free motions and of the displacements of the points `moved`."""
+
+    data: WhitenedDifferences
+    moved: tuple[int, ...]
+
+    @cached_property
+    def _scaled_design(self) -> tuple[Floats, Floats]:
+        """Whitened design, free motions first, with columns of norm 1, (m, q), and the norms of its columns, (q,)."""
+        design = np.hstack([self.data.motion_design, self.data.root[:, self.data.rows(self.moved)]])
+        norms = np.linalg.norm(design, axis=0)
+        return design / norms, norms
+
+    @cached_property
+    def _triangle(self) -> tuple[Floats, Floats] | None:
+        """Orthonormal and triangular factor of the scaled design; None if it has not full rank."""
+        design, _ = self._scaled_design
+        if design.shape[1] > len(design):
+            return None
+        basis, triangle = np.linalg.qr(design)
+        return (basis, triangle) if (np.abs(np.diag(triangle)) > SQRT_MACHINE_EPSILON).all() else None
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Orthonormal basis of the space of the design, shape (m, rank)."""
+        if self._triangle is not None:
+            return self._triangle[0]
+        return np.asarray(scipy.linalg.orth(self._scaled_design[0]))
+
+    @property
+    def sum_of_squares(self) -> float:
+        """Weighted sum of the squared residuals."""
+        observed = self.data.observations
+        return float(observed @ observed - np.sum((self.basis.T @ observed) ** 2))
+
+    @cached_property
+    def estimate(self) -> tuple[Floats, Floats]:
+        """Estimates (q,) of the free motions and then of the displacements, and their covariance (q, q)."""
+        design, norms = self._scaled_design
+        if self._triangle is None:
+            values, covariance = _shortest_estimate(design, self.data.observations)
+            return values / norms, covariance / np.outer(norms, norms)
+        basis, triangle = self._triangle
+        root = scipy.linalg.solve_triangular(triangle, np.eye(len(triangle))) / norms[:, None]
+        return root @ (basis.T @ self.data.observations), root @ root.T
+
+    @property
+    def displacements(self) -> tuple[Floats, Floats]:
+        """Estimates (k axes,) of the displacements of the k moved points, and their covariance."""
+        n_motions = self.data.free_motions.shape[1]
+        values, covariance = self.estimate
+        return values[n_motions:], covariance[n_motions:, n_motions:]
+
+    @cached_property
+    def point_tests(self) -> PointTests:
+        """Tests of a displacement of each point in addition to the fit; those of moved points are not defined."""
+        root, axes = self.data.root, self.data.n_axes
+        residual_design = root - self.basis @ (self.basis.T @ root)
+        blocks = self.data.blocks(residual_design)
+        residuals = self.data.observations - self.basis @ (self.basis.T @ self.data.observations)
+        norms = np.linalg.norm(residual_design, axis=0)
+        norms[norms < NORMAL_EQUATIONS_TOLERANCE * np.linalg.norm(root, axis=0)] = 0.0
+        return PointTests(blocks @ blocks.transpose(0, 2, 1), blocks @ residuals, norms.reshape(-1, axes))
+
+    def displacement(self, point: int) -> tuple[Floats, Floats, float]:
+        """Displacement of a point (axes,), its covariance, and the reduction of the sum of squares by it.
+
+        A point that is not among the moved ones is added to them. If a direction is undetermined, the estimates of all
+        points and motions together are those of smallest norm, in units of their standard deviations.
+        """
+        if point not in self.moved:
+            tests = self.point_tests
+            drop = float(tests.chi2_drops[point])
+            if not tests.are_determined[point]:
+                return (*self.data.fit([*self.moved, point]).displacement(point)[:2], drop)
+            return tests.values[point], tests.covariances[point], drop
+        values, covariance = self.displacements
+        point_rows = self.data.rows([self.moved.index(point)])
+        block = covariance[np.ix_(point_rows, point_rows)]
+        return (
+            values[point_rows],
+            block,
+            float(values[point_rows] @ np.linalg.pinv(block, hermitian=True) @ values[point_rows]),
+        )
+
+
+def _shortest_estimate(design: Floats, observations: Floats) -> tuple[Floats, Floats]:
+    """Least-squares estimate (q,) of smallest norm for a design (m, q) without full rank, and its covariance (q, q)."""
+    basis, triangle, order = scipy.linalg.qr(design, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(triangle)) > SQRT_MACHINE_EPSILON).sum())
+    root = scipy.linalg.solve_triangular(triangle[:rank, :rank], np.eye(rank))
+    undetermined = np.zeros((design.shape[1], design.shape[1] - rank))
+    undetermined[order[:rank]] = -root @ triangle[:rank, rank:]
+    undetermined[order[rank:]] = np.eye(design.shape[1] - rank)
+    free = np.linalg.qr(undetermined)[0]
+    inverse = np.zeros((design.shape[1], rank))
+    inverse[order[:rank]] = root
+    inverse -= free @ (free.T @ inverse)
+    return inverse @ (basis[:, :rank].T @ observations), inverse @ inverse.T
+
+
+def coordinate_indices(points: Sequence[int] | Ints, n_axes: int) -> Ints:
+    """Indices of the coordinates of `points` (point indices) in a vector that lists the coordinates point by point.
+
+    `n_axes` is the number of coordinates per point.
+    """
+    return (n_axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(n_axes)).ravel()
