@@ -54,6 +54,10 @@ MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
 may not converge with it."""
 
 
+DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
+"""Kinds of causes that displace the reflector at one target."""
+
+
 def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Largest displacement [m] of a measured point, or misclosure of a reference value, by the error of a hypothesis.
 
@@ -89,11 +93,11 @@ class SelectedHypothesis:
 
     @property
     def is_certain(self) -> bool:
-        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was badly seated.
+        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was displaced.
 
-        Readings to a badly seated reflector are wrong in any case: without this hypothesis they are outliers.
+        Readings to a displaced reflector are wrong in any case: without this hypothesis they are outliers.
         """
-        return self.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN or self.hypothesis.kind == "reflector-seating"
+        return self.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN or self.hypothesis.kind in DISPLACED_REFLECTOR_KINDS
 
     @property
     def posterior_probabilities(self) -> Floats:

@@ -100,7 +100,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
             f"along the normals of their nests, {side} the nests: {cause}."
         )
     if hypothesis.kind == "reflector-seating":
-        rows_text = f"rows {names_text([str(row) for row in seating_row_numbers(fit, hypothesis)])}"
+        row_numbers = seating_row_numbers(fit, hypothesis)
+        rows_text = f"row{'s' if len(row_numbers) > 1 else ''} {names_text([str(row) for row in row_numbers])}"
         return (
             f"The reflector at {hypothesis.targets[0]} was displaced by {size_text} while {hypothesis.stations[0]} "
             f"measured it ({rows_text}): dirt in the nest, or another nest."
@@ -124,7 +125,23 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
         np.vstack([state.station_positions[:1], state.station_rotations[0] - np.eye(3)]), 0
     )
     axes = f" along the axes of {first_station}" if is_frame_of_station else ""
-    return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes})."
+    seating = _equivalent_seating_text(fit, effect)
+    return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes}){seating}."
+
+
+def _equivalent_seating_text(fit: NetworkFit, motion: TargetMoved) -> str:
+    """Clause on a badly seated reflector, if all pointings before or after a motion are from one station; or empty.
+
+    These readings do not distinguish a motion of the target from a reflector that was badly seated at this station.
+    """
+    sightings = fit.adjustment.sightings
+    is_at_target, is_after = motion.pointing_indicator(sightings) > 0, sightings.time >= motion.time
+    for is_on_side, consequence in ((is_after, ""), (~is_after, " (its coordinates are then those of the bad seat)")):
+        stations = np.unique(sightings.station[is_at_target & is_on_side])
+        if len(stations) == 1:
+            name = sightings.station_names[stations[0]]
+            return f", or the reflector was badly seated while {name} measured it{consequence}"
+    return ""
 
 
 def seating_row_numbers(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[int, ...]:

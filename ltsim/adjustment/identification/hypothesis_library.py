@@ -157,11 +157,10 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
     index, places_by_index = places_by_kind[place_kind]
     order = order[np.argsort(index[order], kind="stable")]
     edges = np.searchsorted(index[order], np.arange(len(places_by_index) + 1))
-    min_pointings = 2 if place_kind == "sight" else 1  # errors of a single pointing are outliers
     return [
         ShiftPlace(stations, targets, order[edges[i] : edges[i + 1]])
         for i, (stations, targets) in enumerate(places_by_index)
-        if edges[i + 1] - edges[i] >= min_pointings
+        if edges[i + 1] > edges[i]
     ]
 
 
@@ -185,6 +184,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
                 )
             drift = offset * sightings.elapsed_occupation_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift, drift_interval="occupation")
+        yield ShiftFamily("constant-offset", "distance", "instrument", distance)
         instrument_places = shift_places(sightings, "instrument")
         intervals: tuple[Literal["occupation", "recording"], ...] = ("occupation", "recording")
         for observable, interval in product(OBSERVABLES, intervals):
