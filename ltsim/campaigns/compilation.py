@@ -1,7 +1,8 @@
 """Decorators that compile functions of campaigns to machine code (Numba)."""
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from contextlib import suppress
+from typing import Any, TypeVar, cast
 
 import llvmlite.binding
 import numba
@@ -30,9 +31,27 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
         return cast(Callable[..., ReturnType], compiler(function))
 
     try:
-        return compiled_kernel(caches_code=True)
+        kernel = compiled_kernel(caches_code=True)
     except RuntimeError:  # neither the package's folder nor the home folder can be written to
         return compiled_kernel(caches_code=False)
+    _discard_unreadable_cache(kernel)
+    return kernel
+
+
+def _discard_unreadable_cache(kernel: Any) -> None:
+    """Removal of cached machine code whose index cannot be read, such as that of another version of the package.
+
+    Numba compares the date of the source only after it has read the index, which names modules of that version.
+    """
+    cache = getattr(kernel, "_cache", None)
+    index = getattr(cache, "_cache_file", None)
+    if cache is None or index is None:
+        return
+    try:
+        index._load_index()
+    except Exception:
+        with suppress(OSError):
+            cache.flush()
 
 
 def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:

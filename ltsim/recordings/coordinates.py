@@ -219,6 +219,9 @@ class _PointRowReader:
                 raise where.error(
                     f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)
                 )
+            if number is not None and number < 0 and (role == COMMON_SIGMA_ROLE or role in SIGMA_ROLES.values()):
+                message = f"the standard deviation {safe_excerpt(text)} is negative"
+                raise where.error(message, safe_excerpt(column.title or role))
             coordinates.append(np.nan if number is None else float(number))
         return where.checked_name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 

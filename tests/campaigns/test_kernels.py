@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -111,3 +114,17 @@ def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: p
 
     monkeypatch.setattr("ltsim.campaigns.compilation.numba", SimpleNamespace(njit=nowhere))
     assert compile_function(lambda x: x * x)(3.0) == 9.0
+
+
+def test_machine_code_of_another_version_is_compiled_anew(tmp_path: Path) -> None:
+    """An index that names a module of an earlier version: numba reads it before it compares the date of the source."""
+    (tmp_path / "squares.py").write_text("def square(x):\n    return x * x\n")
+    spec = spec_from_file_location("squares", tmp_path / "squares.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert compile_function(module.square)(3.0) == 9.0
+    (index,) = tmp_path.rglob("*.nbi")
+    index.write_bytes(pickle.dumps(numba.__version__) + b"cmodule_of_an_earlier_version\nname\n.")
+    assert compile_function(module.square)(4.0) == 16.0

@@ -74,3 +74,18 @@ def test_a_missing_unit_of_horizontal_angles_is_not_asked_for_as_one_of_elevatio
     (tmp_path / "survey.csv").write_text(table("dH", mark_to_mark=False))
     with pytest.raises(RecordError, match="may be horizontal angles in deg or horizontal angles in gon"):
         read(tmp_path / "survey.csv")
+
+
+@pytest.mark.parametrize("has_faces", [True, False])
+def test_raw_circle_readings_in_both_faces(tmp_path: Path, has_faces: bool) -> None:
+    lines = [f"Station;Point{';Face' if has_faces else ''};Hz;HD;dH"]
+    for name, (x, y, z) in TARGETS.items():
+        for face in (1, 2):
+            circle = (np.degrees(np.arctan2(x, y)) + 180.0 * (face == 2)) % 360.0
+            lines.append(f"S1;{name}{f';{face}' if has_faces else ''};{circle:.5f};{np.hypot(x, y):.4f};{z:.4f}")
+    recording = recorded(tmp_path, "\n".join(lines) + "\n")
+    assert recording.face.tolist() == [1, 2] * len(TARGETS)
+    assert not any("reduced to face 1" in note for note in recording.notes)
+    x, y, z = np.array([TARGETS[recording.targets[i]] for i in recording.target]).T
+    elevation = np.where(recording.face == 2, np.pi - recording.readings[:, 2], recording.readings[:, 2])
+    np.testing.assert_allclose(elevation, np.arctan2(z, np.hypot(x, y)), atol=1e-5)

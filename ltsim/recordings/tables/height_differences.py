@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import NOT_MEASURED
@@ -36,6 +36,9 @@ MARK_TO_MARK_TITLES = (
 """Titles, in the form of `normalised_title`, of height differences between the marks of station and target."""
 
 
+MAX_HALF_CIRCLE_DIFFERENCE = 0.02
+"""Largest difference [rad] from half a circle of two circle readings to one target at which they are in both faces; the
+axis errors of an instrument are far below it."""
 SHORTEST_DISTANCE = 1e-3
 """Horizontal distance [m] that replaces shorter ones in the uncertainty of an elevation."""
 
@@ -92,6 +95,21 @@ def height_differences(table: PointingTable, length_unit: str) -> HeightDifferen
     del table.pointings.additional_cells[column.title]
     table.columns.remove(column)
     return HeightDifferences(differences, step, note)
+
+
+def is_raw_second_face(azimuths: Floats, sight_indices: Ints, faces: Ints) -> Bools:
+    """Mask (n,) of the pointings in face 2 whose circle readings (azimuths) the file did not reduce to face 1.
+
+    Their azimuths (n,) [rad] differ by half a circle from that of the reference pointing of the same sight: its first
+    pointing in face 1 or, without declared faces, its first pointing. `sight_indices` (n,) number the sights (pairs of
+    station and target), `faces` (n,) are the declared faces, 0 if not declared.
+    """
+    order = np.lexsort((np.arange(len(faces)), faces == 2, sight_indices))
+    _, first, sights = np.unique(sight_indices[order], return_index=True, return_inverse=True)
+    reference = np.empty(len(faces), dtype=np.int64)
+    reference[order] = order[first][sights]
+    turn = np.abs(np.angle(np.exp(1j * (azimuths - azimuths[reference]))))
+    return np.asarray((np.abs(turn - np.pi) < MAX_HALF_CIRCLE_DIFFERENCE) & (faces != 1))
 
 
 def unit_in_title(column: TableColumn) -> str:

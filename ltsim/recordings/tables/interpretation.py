@@ -50,7 +50,7 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
-from ltsim.recordings.tables.height_differences import height_differences, unit_in_title
+from ltsim.recordings.tables.height_differences import height_differences, is_raw_second_face, unit_in_title
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
@@ -168,7 +168,9 @@ def interpret_readings(
             elevation_rounding_sigmas=heights.rounding_sigmas(readings[:, 0]),
             notes=(*interpretation.notes, heights.note),
         )
-        readings[:, 2] = heights.elevations(readings[:, 0])
+        elevations, sights = heights.elevations(readings[:, 0]), station * (target.max(initial=0) + 1) + target
+        is_second_face = is_raw_second_face(readings[:, 1], sights, np.array(pointings.face))
+        readings[:, 2] = np.where(is_second_face, np.pi - elevations, elevations)
     return interpretation, readings
 
 
