@@ -17,7 +17,7 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.planning.proposals import MeasurementProposalEntry, NextMeasurement
 from ltsim.planning.result import load_plan_and_scenario
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.site_axes import with_positions_on_site
+from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.recordings import Recording
 
 MACHINE = np.array([[3700.0, 2900.0, 0.0], [5300.0, 4100.0, 2200.0]])
@@ -169,7 +169,7 @@ def test_a_wrong_ball_does_not_move_the_network_on_the_site(
 
     def positions(recording: Recording) -> np.ndarray:
         adjustment = IdentifiedNetwork.from_recording(recording, declared_construction(recording)).adjustment
-        placed = with_positions_on_site(recording, adjustment, space, "hall")
+        placed = with_station_poses_on_site(recording, adjustment, space, "hall")
         return np.array([placed.setup.stations[name].position_mm for name in recording.stations])
 
     wrong = with_wrong_ball(measured, 1, radius_difference)

@@ -207,4 +207,4 @@ def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
         residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv_text()
     )
     found = Residuals.read(tmp_path / "residuals.csv")
-    assert set(found.target.tolist()) == set(names)
+    assert set(found.target_names.tolist()) == set(names)
