@@ -22,7 +22,6 @@ from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     NoiseFactorChange,
-    ReadingShiftChange,
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.hypothesis_library import (
@@ -30,13 +29,13 @@ from ltsim.adjustment.identification.hypothesis_library import (
     omissions_of_reference_values,
     reference_point_exchanges,
 )
+from ltsim.adjustment.identification.motion_refinement import fit_or_none, join_displacements, refine_motion_time
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
-from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
@@ -69,10 +68,6 @@ ten standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
 """Ratio of the gain of log evidence by the first fitted hypothesis to its approximate gain from the screening, above
 which only rivals are fitted too: hypotheses that may explain the same readings."""
-MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
-"""Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
-too. A smaller motion does not distort the network so much that the screening selects a wrong time.
-"""
 RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were added to a fit on trial, each with the resulting fit; the fit with the largest log evidence
 first.
@@ -145,7 +140,7 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
     needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_PRIOR_ODDS_OF_CENTRING
     if not trial_fits or trial_fits[0][1].log_evidence < fit.log_evidence + needed:
         return None
-    best = _refine_motion_time(trial_fits[0][1])
+    best = join_displacements(refine_motion_time(trial_fits[0][1]))
     if isinstance(trial_fits[0][0].model_change, CentringChange):
         best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
     return replace(state, fit=best, fit_before_trial_fits=fit, trial_fits=trial_fits)
@@ -222,46 +217,6 @@ def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: Netwo
             break
         fit = tried[0][1]
     return fit
-
-
-def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
-    """Fit with an improved time of a sudden station motion, if this is the hypothesis selected last.
-
-    The screening of times is linear. A large motion distorts the network in which it is screened, so that the selected
-    time may be several pointings off. The pointings between both times would then appear as further causes.
-    """
-    *others, last = fit.hypotheses
-    change = last.model_change
-    if (
-        not isinstance(change, ReadingShiftChange)
-        or not isinstance(change.effect, StationBump)
-        or fit.estimate_length_in_sigmas(last) < MIN_MOTION_SIGMAS_FOR_REFINEMENT
-    ):
-        return fit
-    first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
-    bumps = [bump for bump in bumps if bump.stations == first.stations]
-    variants = [(*others, replace(last, model_change=replace(change, effect=bump))) for bump in bumps]
-    now, step = int(np.argmin([abs(bump.time - first.time) for bump in bumps])), max(len(bumps) // 4, 1)
-    while step:
-        neighbours = [at for at in (now - step, now + step) if 0 <= at < len(bumps)]
-        better_fits = ((at, _better_fit_or_none(fit, variants[at])) for at in neighbours)
-        now, better_fit = next(((at, made) for at, made in better_fits if made is not None), (now, None))
-        step, fit = (step // 2, fit) if better_fit is None else (step, better_fit)
-    return fit
-
-
-def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
-    """Fit with other hypotheses, started at the state of `fit`; None if its log evidence is not larger."""
-    made = _fit_or_none(fit, hypotheses)
-    return made if made is not None and made.log_evidence > fit.log_evidence else None
-
-
-def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
-    """Fit with other hypotheses, started at the state of `fit`; None if no fit is possible."""
-    try:
-        return NetworkFit.from_start(fit.fit_input, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
-    except LtsimError:
-        return None
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
@@ -395,5 +350,5 @@ def _fit_without_hypothesis(
     """
     if any(h is hypothesis for h in indispensable_hypotheses):
         return None, indispensable_hypotheses
-    rest = _fit_or_none(fit, tuple(h for h in fit.hypotheses if h is not hypothesis))
+    rest = fit_or_none(fit, tuple(h for h in fit.hypotheses if h is not hypothesis))
     return rest, indispensable_hypotheses if rest is not None else (*indispensable_hypotheses, hypothesis)

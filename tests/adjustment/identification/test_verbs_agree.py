@@ -73,6 +73,16 @@ def badly_seated_reflector(size: float) -> tuple[Recording, Place]:
     return workshop().with_readings(workshop().readings + change), (("S2",), ("T07",))
 
 
+def badly_seated_reflector_in_one_face(size: float) -> tuple[Recording, Place]:
+    """As `badly_seated_reflector`, with a single pointing of each sight."""
+    recording, place = badly_seated_reflector(size)
+    return recording.select(recording.face == 1), place
+
+
+def ball_at_all_stations(size: float) -> tuple[Recording, Place]:
+    return longer(np.arange(len(workshop())), offset=size), ((), ())
+
+
 def exchanged_names(size: float) -> tuple[Recording, Place]:
     recording, target = workshop(), workshop().target.copy()
     first, second = rows_of("S2", "T07"), rows_of("S2", "T15")
@@ -147,6 +157,8 @@ RUNGS = [
     pytest.param(one_distance, 5e-3, id="one_distance"),
     pytest.param(ball_at_a_station, 0.3, id="ball_at_a_station"),
     pytest.param(badly_seated_reflector, 1e-3, id="badly_seated_reflector"),
+    pytest.param(badly_seated_reflector_in_one_face, 1e-3, id="badly_seated_reflector_in_one_face"),
+    pytest.param(ball_at_all_stations, 3e-3, id="ball_at_all_stations"),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
     pytest.param(changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation"),
@@ -168,6 +180,7 @@ RUNGS = [
             index_at_a_station: (0.1, 5.0),
             moved_target: (1e-3, 0.05, 0.5),
             badly_seated_reflector: (2e-4, 0.02, 0.5),
+            ball_at_all_stations: (2e-4, 0.0175, 0.3),
         }.items()
         for size in sizes
     ),

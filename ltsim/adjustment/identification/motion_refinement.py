@@ -1,0 +1,80 @@
+"""Refinement of selected motions: times of station motions, and displacements that are one motion of a target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.identification.cause_selection import DISPLACED_REFLECTOR_KINDS
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, ReadingShiftChange
+from ltsim.adjustment.identification.hypothesis_library import shift_candidates
+from ltsim.core.errors import LtsimError
+from ltsim.physics.effects.station_bump import StationBump
+
+MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
+"""Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
+too. A smaller motion does not distort the network so much that the screening selects a wrong time.
+"""
+
+
+def refine_motion_time(fit: NetworkFit) -> NetworkFit:
+    """Fit with an improved time of a sudden station motion, if this is the hypothesis selected last.
+
+    The screening of times is linear. A large motion distorts the network in which it is screened, so that the selected
+    time may be several pointings off. The pointings between both times would then appear as further causes.
+    """
+    *others, last = fit.hypotheses
+    change = last.model_change
+    if (
+        not isinstance(change, ReadingShiftChange)
+        or not isinstance(change.effect, StationBump)
+        or fit.estimate_length_in_sigmas(last) < MIN_MOTION_SIGMAS_FOR_REFINEMENT
+    ):
+        return fit
+    first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
+    bumps = [bump for bump in bumps if bump.stations == first.stations]
+    variants = [(*others, replace(last, model_change=replace(change, effect=bump))) for bump in bumps]
+    now, step = int(np.argmin([abs(bump.time - first.time) for bump in bumps])), max(len(bumps) // 4, 1)
+    while step:
+        neighbours = [at for at in (now - step, now + step) if 0 <= at < len(bumps)]
+        better_fits = ((at, better_fit_or_none(fit, variants[at])) for at in neighbours)
+        now, better_fit = next(((at, made) for at, made in better_fits if made is not None), (now, None))
+        step, fit = (step // 2, fit) if better_fit is None else (step, better_fit)
+    return fit
+
+
+def join_displacements(fit: NetworkFit) -> NetworkFit:
+    """Fit with one motion of a target in place of several displacements, if its log evidence is larger.
+
+    After a motion the reflector is displaced at all later stations. The stations are selected one after the other, so
+    that such a motion may appear as a badly seated reflector at one station and a motion at the next one.
+    """
+    last = fit.hypotheses[-1]
+    joined = [h for h in fit.hypotheses if h.kind in DISPLACED_REFLECTOR_KINDS and h.targets == last.targets]
+    if len(joined) < 2 or last not in joined:
+        return fit
+    others = tuple(h for h in fit.hypotheses if h not in joined)
+    displacement = fit.estimate_and_covariance(last)[0]
+    candidates = (
+        c
+        for c in shift_candidates(fit.adjustment.sightings)
+        if c.family.kind == "target-moved" and c.place.targets == last.targets
+    )
+    fits = (better_fit_or_none(fit, (*others, c.make_hypothesis(displacement))) for c in candidates)
+    return max((made for made in fits if made is not None), key=lambda made: made.log_evidence, default=fit)
+
+
+def better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
+    """Fit with other hypotheses, started at the state of `fit`; None if its log evidence is not larger."""
+    made = fit_or_none(fit, hypotheses)
+    return made if made is not None and made.log_evidence > fit.log_evidence else None
+
+
+def fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
+    """Fit with other hypotheses, started at the state of `fit`; None if no fit is possible."""
+    try:
+        return NetworkFit.from_start(fit.fit_input, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
+    except LtsimError:
+        return None
