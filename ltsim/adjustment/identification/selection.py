@@ -16,12 +16,13 @@ from ltsim.adjustment.identification.cause_selection import (
     SelectedHypothesis,
     has_larger_noise_of_all_readings,
 )
-from ltsim.adjustment.identification.evidence import LOG_PRIOR_ODDS_OF_CENTRING
+from ltsim.adjustment.identification.evidence import LOG_PRIOR_ODDS_OF_CENTRING, log_prior_of_kind
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
     NoiseFactorChange,
+    ReadingShiftChange,
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.hypothesis_library import (
@@ -30,6 +31,7 @@ from ltsim.adjustment.identification.hypothesis_library import (
     reference_point_exchanges,
 )
 from ltsim.adjustment.identification.motion_refinement import fit_or_none, join_displacements, refine_motion_time
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
@@ -272,8 +274,21 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     if fit is None and (corrections or omitted):
         fit = NetworkFit.from_start(fit_input)
     if fit is None:
+        fit = _fit_with_distance_constant(fit_input)
+    if fit is None:
         raise NetworkError("no network fits the observations, because they contradict each other too much")
     return fit
+
+
+def _fit_with_distance_constant(fit_input: FitInput) -> NetworkFit | None:
+    """Fit with a constant error of all distances; None if most pointings contradict it.
+
+    Without this hypothesis, no network fits distances with a constant error of decimetres.
+    """
+    change = ReadingShiftChange(ReadingShift("distance"))
+    prior = log_prior_of_kind("constant-offset", 1)
+    fit = NetworkFit.from_start(fit_input, (CauseHypothesis("constant-offset", "distance", (), (), prior, change),))
+    return fit if fit is not None and 2 * np.count_nonzero(fit.is_outlier.any(axis=1)) < len(fit.recording) else None
 
 
 def _fit_best_hypotheses(
