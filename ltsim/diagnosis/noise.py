@@ -28,6 +28,7 @@ from ltsim.diagnosis.evidence import (
     MAX_AVERAGED_HYPOTHESES,
     N_EXACTLY_EVALUATED_HYPOTHESES,
     log_mean_exp_by_group,
+    log_restricted_likelihood_ratio,
     normalised_probabilities,
 )
 from ltsim.diagnosis.noise_estimation import reml_gain_function, with_estimated_sizes
@@ -192,8 +193,16 @@ class NoiseHypothesisSet:
         `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
         are the basis of the changes by these effects.
         """
-        assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
+        return self._log_restricted_likelihood_ratio(at, logs, residual, model_basis)
+
+    def _log_restricted_likelihood_ratio(self, at: Ints, logs: Floats, residual: Floats, model_basis: Floats) -> float:
+        """Log restricted likelihood ratio for variance factors, without approximation.
+
+        `logs` (k,) are the logarithms of the factors of the rows `at` (k,): readings, then means of repeated readings.
+        The other arguments are those of `log_restricted_likelihood_ratio`.
+        """
+        assert self.parameter_basis is not None
         weight, size = -np.expm1(-logs), len(residual)
         basis = np.hstack([self.parameter_basis, model_basis])
         basis_rows = np.vstack([basis[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ basis])
@@ -269,7 +278,8 @@ class NoiseHypothesisSet:
                 value += self.log_prior_of_family(self.family_names[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
             ranking.append((value, self.hypotheses[likeliest]))
-        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in ranking))):
+        rival = max(0.0, *(value for value, _ in ranking))
+        for change, value in self.ranked_group_noise(residual, redundancy, model_basis, rival):
             effect = change.most_likely_effect(residual, redundancy)
             ranking.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(ranking, key=lambda entry: -entry[0])
@@ -292,7 +302,8 @@ class NoiseHypothesisSet:
                 hypothesis.effect.variance(space.sightings, space.reading_sigmas, sizes) / space.reading_sigmas**2
             )
         n_readings = np.count_nonzero(space.is_used_reading)
-        for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
+        none = np.zeros((len(residual), 0))
+        for change, value in self.ranked_group_noise(residual, redundancy, none, max(values)):
             values.append(value)
             factors.append(np.ones(space.reading_sigmas.shape))
             factors[-1][space.is_used_reading] = change.expected_variance_factors(residual, redundancy)[:n_readings]
@@ -317,7 +328,7 @@ class NoiseHypothesisSet:
         return ranked
 
     def ranked_group_noise(
-        self, residual: Floats, redundancy: Floats, rival_log_evidence: float
+        self, residual: Floats, redundancy: Floats, model_basis: Floats, rival_log_evidence: float
     ) -> list[tuple[GroupNoiseHypothesis, float]]:
         """Pairs of a noise hypothesis for groups of readings or intervals of time, and its log evidence.
 
@@ -325,7 +336,7 @@ class NoiseHypothesisSet:
         `rival_log_evidence`, the largest log evidence of another hypothesis.
         """
         ranked_hypotheses = [
-            (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
+            (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy, model_basis))
             for change in self.group_noise_hypotheses
         ]
         least = (
@@ -339,14 +350,27 @@ class NoiseHypothesisSet:
             for x in change.limited_to_most_probable_place(residual, redundancy)
         ]
         return ranked_hypotheses + [
-            (place, self._group_noise_log_evidence_of_residuals(place, residual, redundancy)) for place in places
+            (place, self._group_noise_log_evidence_of_residuals(place, residual, redundancy, model_basis))
+            for place in places
         ]
 
     def _group_noise_log_evidence_of_residuals(
-        self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats
+        self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> float:
-        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording."""
-        return float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
+        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording.
+
+        For the noise level of a small network, the difference of the exact restricted likelihood from its diagonal form
+        is added, at the expected factors. The factors of other hypotheses are averages over noisy and other groups, at
+        which this difference means nothing.
+        """
+        value = float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
+        if self.parameter_basis is None or not isinstance(change, RecordingNoiseLevel):
+            return value
+        factors = change.expected_variance_factors(residual, redundancy)[: len(residual)]
+        at = np.flatnonzero(factors != 1.0)
+        exact = self._log_restricted_likelihood_ratio(at, np.log(factors[at]), residual, model_basis)
+        diagonal = log_restricted_likelihood_ratio(residual[at] ** 2, redundancy[at], factors[at])
+        return value + exact - float(diagonal.sum())
 
 
 def _noise_patterns(

@@ -140,44 +140,45 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of a changed noise level for each recording (trial), from m residuals (m, trials).
 
-        A common factor of all observables, and separate factors of some observables, have equal prior probabilities.
+        A common factor of each of `NOISY_OBSERVABLE_SETS`, and separate factors of some observables, have equal prior
+        probabilities.
         """
-        return np.logaddexp(*self._log_evidence_of_common_and_separate_factors(residual, redundancy)) - np.log(2.0)
+        alternatives = self._log_evidence_of_alternatives(residual, redundancy)
+        return log_sum_exp(alternatives) - np.log(len(alternatives))
 
     @property
-    def _with_common_group(self) -> RecordingNoiseLevel:
-        """Noise level with a single group that contains all readings."""
-        return replace(self, group_indicators=sp.csr_array(self.group_indicators.sum(axis=0)[None, :]))
+    def _common_groups(self) -> list[tuple[Floats, RecordingNoiseLevel]]:
+        """Indicators (g,) of the observables of each of `NOISY_OBSERVABLE_SETS`, and noise level of this set."""
+        flags = [np.isin(OBSERVABLES, names).astype(np.float64) for names in NOISY_OBSERVABLE_SETS]
+        return [(f, replace(self, group_indicators=sp.csr_array(f[None, :] @ self.group_indicators))) for f in flags]
 
-    def _log_evidence_of_common_and_separate_factors(
-        self, residual: Floats, redundancy: Floats
-    ) -> tuple[Floats, Floats]:
-        """Log evidence (trials,) of a common factor, and log evidence (trials,) of separate factors of observables.
+    def _log_evidence_of_alternatives(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (sets + 1, trials) of a common factor of each set of observables, then of separate factors.
 
         With separate factors the noise of at least one observable differs from the declared noise.
         """
-        together = self._with_common_group.log_evidence_by_group(residual, redundancy)[0]
+        common = [level.log_evidence_by_group(residual, redundancy)[0] for _, level in self._common_groups]
         any_observable = np.logaddexp(0.0, self.log_evidence_by_group(residual, redundancy)).sum(axis=0)
         separate = (
             any_observable
             + np.log(-np.expm1(-np.maximum(any_observable, np.finfo(np.float64).tiny)))
             - np.log(2.0 ** len(OBSERVABLES) - 1.0)
         )
-        return together, separate
+        return np.vstack([*common, separate])
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (g,) of the added variance of each of g observables, divided by the declared variance.
 
-        It is an average over a common factor and separate factors.
+        It is an average over common factors and separate factors.
         """
-        common, each = self._with_common_group, self.log_evidence_by_group(residual[:, None], redundancy)[:, 0]
-        noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
-        common_evidence, separate_evidence = self._log_evidence_of_common_and_separate_factors(
-            residual[:, None], redundancy
+        probabilities = normalised_probabilities(
+            self._log_evidence_of_alternatives(residual[:, None], redundancy)[:, 0]
         )
-        probability = float(expit(common_evidence - separate_evidence)[0])
-        together = probability * common._added_variance_if_noisy(residual, redundancy)
-        added: Floats = together + (1.0 - probability) * noisy * self._added_variance_if_noisy(residual, redundancy)
+        each = self.log_evidence_by_group(residual[:, None], redundancy)[:, 0]
+        noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
+        added: Floats = probabilities[-1] * noisy * self._added_variance_if_noisy(residual, redundancy)
+        for probability, (is_in_set, level) in zip(probabilities[:-1], self._common_groups, strict=True):
+            added = added + probability * is_in_set * level._added_variance_if_noisy(residual, redundancy)[0]
         return added
 
 

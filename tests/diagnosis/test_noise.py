@@ -164,7 +164,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
 
 
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
-    """All subsets of observables but none, or all alike; each with its sizes averaged."""
+    """One factor for each set of observables, or all subsets with separate factors; each with its sizes averaged."""
     space, _, bank = repeated
     residual, kind = space.whitened_residuals.copy(), np.nonzero(space.is_used_reading)[1]
     for k, times in enumerate((1.3, 1.5, 0.8)):
@@ -178,7 +178,8 @@ def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeate
 
     one = [averaged(kind == k) for k in range(3)]
     subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
-    expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(averaged(kind >= 0)))
+    common = [averaged(np.isin(kind, ks)) for ks in ([0], [1], [2], [1, 2], [0, 1, 2])]
+    expected = np.log(np.mean([*np.exp(common), np.exp(subsets).mean()]))
     found = evidence_of(bank, residual, space.redundancy)["noise-level"]
     assert found == pytest.approx(expected + bank.log_prior_of_family("noise-level"), rel=1e-6)
 
