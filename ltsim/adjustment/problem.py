@@ -13,9 +13,9 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.adjustment.rows import (
     ControlRows,
-    DifferenceRows,
     GaugeRows,
     LevelRows,
+    MarkDifferenceRows,
     YawRows,
     free_motions,
 )
@@ -85,7 +85,7 @@ class NetworkProblem(NetworkRows):
             LevelRows.from_recording(recording, is_used),
         )
         mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
-        differences = DifferenceRows.from_marks(recording, marks)
+        differences = MarkDifferenceRows.from_marks(recording, marks)
         effect_sigmas = [effect_prior_sigma * size for effect in model.effects for size in effect.plausible_sizes]
         effect_sigmas += [size for errors in model.nuisance_errors for size in errors.plausible_sizes]
         return cls(

@@ -177,7 +177,7 @@ def _whitening_matrix(target: Target | ReferenceDifference, is_declared_coordina
 
 
 @dataclass(frozen=True)
-class DifferenceRows(ControlRows):
+class MarkDifferenceRows(ControlRows):
     """Observation equations of k known differences: coordinates of the end mark minus coordinates of the start mark.
 
     Ends are given by an index in the list of T targets, S instruments and the origin. The origin stands for a mark that
@@ -194,7 +194,7 @@ class DifferenceRows(ControlRows):
     """Name of each difference, from the names of both ends."""
 
     @classmethod
-    def from_marks(cls, recording: Recording, marks: StationMarks) -> DifferenceRows:
+    def from_marks(cls, recording: Recording, marks: StationMarks) -> MarkDifferenceRows:
         """Equations of those known differences of a recording whose two ends are measured or known."""
         places, count = mark_indices(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
@@ -219,9 +219,9 @@ class DifferenceRows(ControlRows):
         """Indices (2, k) of start and end of each of k differences in the list of targets, instruments and origin."""
         return np.stack([self.start_indices, self.point_indices])
 
-    def subset(self, mask: Bools) -> DifferenceRows:
+    def subset(self, mask: Bools) -> MarkDifferenceRows:
         """Equations of those of the k differences that `mask` (k,) flags."""
-        return DifferenceRows(
+        return MarkDifferenceRows(
             self.point_indices[mask],
             self.declared_points[mask],
             self.is_declared_coordinate[mask],
@@ -365,7 +365,7 @@ network. The angle corresponds to 64 km on the earth."""
 
 
 def free_motions(
-    control: ControlRows, marks: ControlRows, differences: DifferenceRows, level_rows: LevelRows, yaw_rows: YawRows
+    control: ControlRows, marks: ControlRows, differences: MarkDifferenceRows, level_rows: LevelRows, yaw_rows: YawRows
 ) -> Floats:
     """Rigid motions (6, f) of the network that no known point, difference, level or yaw fixes.
 

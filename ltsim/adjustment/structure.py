@@ -10,7 +10,7 @@ from typing import Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from ltsim.adjustment.marks import StationMarks
-from ltsim.adjustment.rows import ControlRows, DifferenceRows, GaugeRows, LevelRows, YawRows
+from ltsim.adjustment.rows import ControlRows, GaugeRows, LevelRows, MarkDifferenceRows, YawRows
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.rigid import VERTICAL
@@ -51,7 +51,7 @@ class UnknownColumns:
 
     @classmethod
     def from_model(
-        cls, model: MeasurementModel, gauge: GaugeRows, marks: StationMarks, differences: DifferenceRows
+        cls, model: MeasurementModel, gauge: GaugeRows, marks: StationMarks, differences: MarkDifferenceRows
     ) -> UnknownColumns:
         """Columns of the unknowns of a measurement model with its reference lengths, marks and known differences."""
         recording, over = model.recording, marks.target_indices >= 0
@@ -110,7 +110,7 @@ class NetworkRows:
     """Marks under the set-ups."""
     control_rows_of_marks: ControlRows
     """Equations of the known marks under stations."""
-    difference_rows: DifferenceRows
+    difference_rows: MarkDifferenceRows
     """Equations of the known differences."""
     unknowns: UnknownColumns
     """Columns of the unknowns in the design matrix."""

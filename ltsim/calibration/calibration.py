@@ -31,7 +31,7 @@ from ltsim.calibration.schema import (
     OutlierRow,
     ParameterEntry,
     RecommendedCorrection,
-    ReferenceValueEntry,
+    ReferenceValueTestEntry,
     ReflectorEntry,
     StationPose,
     VerdictEntry,
@@ -115,7 +115,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """True if the adjustment used noise that was estimated from the readings in place of the declared noise."""
     verdict: VerdictEntry = VerdictEntry()
     """Verdict on the test to trust, if the tests of the fit disagree."""
-    reference_values: tuple[ReferenceValueEntry, ...] = ()
+    reference_values: tuple[ReferenceValueTestEntry, ...] = ()
     """Reference coordinates, lengths and levels, each tested against all other observations."""
     undetermined_targets: tuple[str, ...] = ()
     """Names of the targets that their readings do not determine."""

@@ -23,7 +23,7 @@ from ltsim.calibration.schema import (
     FittedParameterEntry,
     NoiseRow,
     OutlierRow,
-    ReferenceValueEntry,
+    ReferenceValueTestEntry,
     ReflectorEntry,
     StationPose,
 )
@@ -179,7 +179,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     return tuple(noise_entries)
 
 
-def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
+def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueTestEntry, ...]:
     """Entries of reference coordinates, lengths and levels with their tests, one entry per component."""
     value_entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
@@ -188,7 +188,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             len(test.error) == 1 and not test.declared_axes,
             bool(np.isfinite(test.error_sigmas[k])),
         )
-        entry = ReferenceValueEntry(
+        entry = ReferenceValueTestEntry(
             kind=test.kind,
             name=test.name,
             component="" if is_scalar else (test.declared_axes or "xy")[k],

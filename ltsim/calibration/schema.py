@@ -184,7 +184,7 @@ class OutlierRow(Entry):
     """True if the reading was excluded from the adjustment."""
 
 
-class ReferenceValueEntry(Entry):
+class ReferenceValueTestEntry(Entry):
     """Component of a reference value (coordinate, length, level), tested against all other observations like a reading.
 
     Coordinates that define only the axes have the kind `axes`.
@@ -365,7 +365,7 @@ PARAMETERS_TABLE = Table(
 REFERENCE_VALUES_TABLE = Table(
     "reference_values.csv",
     "reference values, each tested by the other observations",
-    model_columns(ReferenceValueEntry),
+    model_columns(ReferenceValueTestEntry),
 )
 OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", model_columns(OutlierRow))
 NOISE_TABLE = Table(

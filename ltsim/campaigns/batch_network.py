@@ -41,7 +41,7 @@ class BatchNetwork(NominalNetwork):
         return self.covariance @ gradient
 
     @cached_property
-    def _sight_geometry(self) -> tuple[np.ndarray, ...]:
+    def _gradient_inputs(self) -> tuple[np.ndarray, ...]:
         """Index arrays, sight vectors, rotations, derivatives and weights that the compiled gradient function needs."""
         recording, state = self.recording, self.state
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
@@ -175,7 +175,7 @@ class BatchNetwork(NominalNetwork):
             reading_deviations.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
         by_pose, by_points, by_values, by_extra = self.split_unknowns(gradient)
         residual = np.empty(reading_deviations.shape)
-        arrays = (self.kinematic_chain, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
+        arrays = (self.kinematic_chain, *self._gradient_inputs, reading_deviations, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])

@@ -171,11 +171,11 @@ class TrueParameterDistribution:
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
     """True parameters (14,) [SI] of the effect `smr-incidence` (range error by incidence angle) of all reflectors."""
-    incidence_parameters = SmrIncidence().parameters_from_table
+    incidence_parameters = SmrIncidence().parameter_values_of_table
     for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
             incidence_parameters = (
-                incidence_parameters + applied.effect.parameters_from_table + applied.parameter_values
+                incidence_parameters + applied.effect.parameter_values_of_table + applied.parameter_values
             )
     return incidence_parameters
 

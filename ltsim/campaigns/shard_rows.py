@@ -77,7 +77,7 @@ class ShardTask:
     """Index of the file of rows (shard) in the cell (combination of factor levels), from 0."""
     validation_scenario: Scenario | None = None
     """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
-    session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
+    runtime_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.runtime_effects)
     """Classes of effects that the user registered in this session, because worker processes do not have them."""
     existing_rows: pa.Table | None = None
     """Rows that the file of rows (shard) already contains, if trials or statistics were added to the campaign; else
@@ -226,7 +226,7 @@ def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
 
     The shard is computed with one thread, so that sums have the same order in every worker process.
     """
-    for kind in task.session_effects:
+    for kind in task.runtime_effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
         return replace(task, existing_rows=None), parquet_bytes(make_shard_rows(task), task.shard_metadata)

@@ -107,13 +107,13 @@ class PlannedReflectorEntry(Entry):
                 U_um=tuple(np.round(expanded[t], 2).tolist()),
                 stations_seeing=int(survey.is_visible[:, t].sum()),
                 visible_from=tuple(survey.station_names[s] for s in np.flatnonzero(survey.is_visible[:, t])),
-                **cls._tolerance_fields(name, check),
+                **cls._point_error_fields(name, check),
             )
             for t, name in enumerate(survey.target_names)
         )
 
     @staticmethod
-    def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
+    def _point_error_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
         """Values of the fields on the tolerance of the reflector `name`, by field name; empty without a tolerance."""
         if check is None or name not in check.error_by_point_m:
             return {}

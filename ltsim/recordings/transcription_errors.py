@@ -103,10 +103,10 @@ MAX_COMPARED_LENGTH_PAIRS = 400
 """Largest number of pairs of stations, and of pairs of targets, whose lengths are compared."""
 MAX_COMPARED_TARGETS = 60
 """Largest number of common targets of two stations that are used to compare lengths."""
-MIN_WRONG_LENGTH_DISAGREEMENT = 2e-3
+MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS = 2e-3
 """Median relative difference between the lengths that two stations measure between common targets, above which a reader
 searches for a transcription error."""
-MAX_RIGHT_LENGTH_DISAGREEMENT = 2e-4
+MAX_RELATIVE_DISAGREEMENT_OF_CORRECT_LENGTHS = 2e-4
 """Median relative difference between the lengths that two stations measure between common targets, below which the
 lengths agree. A transcription error is the cause if its correction gives such a difference."""
 
@@ -281,14 +281,16 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> WrongCo
     `readings` (n, 3) [m, rad, rad] are those of n pointings, not corrected. The result is None if there is no such
     error, or if the lengths already agree. Lengths cannot reveal a wrong sense of the azimuth.
     """
-    if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_LENGTH_DISAGREEMENT:
+    if not length_disagreement(from_polar(readings), station, target) > MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return None
     angle_errors = [error for error in UNIT_AND_CONVENTION_ERRORS if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]
     best_index = int(np.argmin(disagreements))
-    return angle_errors[best_index] if disagreements[best_index] < MAX_RIGHT_LENGTH_DISAGREEMENT else None
+    return (
+        angle_errors[best_index] if disagreements[best_index] < MAX_RELATIVE_DISAGREEMENT_OF_CORRECT_LENGTHS else None
+    )
 
 
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:

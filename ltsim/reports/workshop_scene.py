@@ -22,7 +22,7 @@ from ltsim.physics.model.construction import declared_construction, ideal_constr
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.cad import implausible_size_question, read_cad_file
-from ltsim.scene.visibility import InvisibilityReason, Visibility, default_shadow_cone_opening, shadow_cone_radii
+from ltsim.scene.visibility import InvisibilityReason, Visibility, default_shadow_cone_opening, stand_shadow_radii
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
@@ -122,7 +122,7 @@ class WorkshopScene(ValueEquality):
 
         `opening` [rad] is the full angle of the cone.
         """
-        return shadow_cone_radii(self.station_positions, self.floor_height, opening)
+        return stand_shadow_radii(self.station_positions, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:

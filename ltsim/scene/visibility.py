@@ -161,7 +161,7 @@ def default_shadow_cone_opening(min_elevation: float) -> float:
     return float(np.pi + 2.0 * min_elevation)
 
 
-def shadow_cone_radii(position: Floats, height: float, cone_angle: float) -> Floats:
+def stand_shadow_radii(position: Floats, height: float, cone_angle: float) -> Floats:
     """Radii (S,) [m] of the circles in which the shadow cones of S upright instruments meet a horizontal plane.
 
     `position` (S, 3) [m] are the instruments, `height` [m] is the height of the plane. `cone_angle` [rad] is the full

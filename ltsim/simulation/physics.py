@@ -106,7 +106,7 @@ def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
 def incidence_error_parameters(scenario: Scenario) -> Floats:
     """Parameters [SI] of the effect `smr-incidence` that give the range errors `smr.range_error_table_um`."""
     table = tuple(x * MICROMETRE for x in scenario.smr.range_error_table_um)
-    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
+    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameter_values_of_table
 
 
 def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:

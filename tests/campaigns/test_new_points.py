@@ -131,7 +131,7 @@ def test_what_calibrate_fits_is_taken_out_of_what_it_improves() -> None:
 
 
 def test_an_effect_of_the_session_is_checked() -> None:
-    assert SlowWarp in CATALOGUE and CATALOGUE.session_effects == (SlowWarp,)
+    assert SlowWarp in CATALOGUE and CATALOGUE.runtime_effects == (SlowWarp,)
     with pytest.raises(ModelError, match="not a class derived from"):
         lt.add_effect(int)
     with pytest.raises(ModelError, match="already has an effect 'head-sag'"):

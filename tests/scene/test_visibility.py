@@ -13,7 +13,7 @@ from ltsim.scene.visibility import (
     compute_visibility,
     default_shadow_cone_opening,
     nest_normals_of_smallest_incidence,
-    shadow_cone_radii,
+    stand_shadow_radii,
 )
 
 HEAD = np.array([[0.0, 0.0, 2.0]])
@@ -57,8 +57,8 @@ def test_range_limits() -> None:
 def test_a_limit_of_minus_55_hides_a_cone_of_70_degrees() -> None:
     assert default_shadow_cone_opening(-55 * DEGREE) == pytest.approx(70 * DEGREE)
     assert LIMITS.shadow_cone_opening == pytest.approx(70 * DEGREE)
-    assert shadow_cone_radii(HEAD, 0.15, LIMITS.shadow_cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
-    assert shadow_cone_radii(HEAD, 3.0, LIMITS.shadow_cone_opening)[0] == 0.0
+    assert stand_shadow_radii(HEAD, 0.15, LIMITS.shadow_cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
+    assert stand_shadow_radii(HEAD, 3.0, LIMITS.shadow_cone_opening)[0] == 0.0
 
 
 def test_an_explicit_opening_keeps_a_wider_cone_free() -> None:
@@ -74,7 +74,7 @@ def test_an_explicit_opening_keeps_a_wider_cone_free() -> None:
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.0, 1.5), st.floats(20, 120))
 def test_shadow_circle_and_table_agree(x: float, y: float, z: float, opening_deg: float) -> None:
     limits = SightLimits(elevation_min=-90 * DEGREE, declared_shadow_cone_opening=opening_deg * DEGREE)
-    radius = shadow_cone_radii(HEAD, z, limits.shadow_cone_opening)[0]
+    radius = stand_shadow_radii(HEAD, z, limits.shadow_cone_opening)[0]
     distance = np.hypot(x, y)
     if abs(distance - radius) < 1e-6 or distance < 1e-6:
         return

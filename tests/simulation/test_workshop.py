@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
-from ltsim.scene.visibility import InvisibilityReason, nest_normals_of_smallest_incidence, shadow_cone_radii
+from ltsim.scene.visibility import InvisibilityReason, nest_normals_of_smallest_incidence, stand_shadow_radii
 from ltsim.simulation.measurement_geometry import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
@@ -69,7 +69,7 @@ def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: flo
     assert make_sight_limits(scenario, scenario.instrument).elevation_min == pytest.approx(-55 * DEGREE)
     table = make_visibility(scenario)
     assert table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names) == []
-    radius = shadow_cone_radii(LAYOUT.station_positions, 0.15, 110 * DEGREE)
+    radius = stand_shadow_radii(LAYOUT.station_positions, 0.15, 110 * DEGREE)
     floor = LAYOUT.target_points[16:24, :2]
     assert np.all(np.linalg.norm(floor - LAYOUT.station_positions[:, None, :2], axis=2) > radius[:, None])
 

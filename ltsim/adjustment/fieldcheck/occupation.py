@@ -79,10 +79,10 @@ class StationOccupation:
     """Flags (n,), True for those of the n pointings that are in use."""
     whitened_residuals: Floats
     """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
-    target_basis: Floats
+    coordinate_basis: Floats
     """Orthonormal basis, (n, 3, 3), of the whitened changes of the readings of n pointings by the coordinates of their
     target. The last axis counts the three basis vectors of the target."""
-    instrument_basis: Floats
+    error_basis: Floats
     """Orthonormal basis, (n, 3, k), of the whitened changes of the readings by k determined combinations of instrument
     errors, and by fitted motions and drifts."""
     reading_sigmas: Floats
@@ -115,14 +115,16 @@ class StationOccupation:
         scale = (weight / sigma)[:, :, None]
         misclosure = np.where(weight, recording.readings - sightings.ideal_raw_readings, 0.0)
         misclosure[:, 1:] = wrap_angle(misclosure[:, 1:])
-        target_basis, ranks = _orthonormal_by_target(target_design * scale, recording.target, len(recording.targets))
+        basis, ranks = _orthonormal_by_target(
+            target_design * scale, recording.target, len(recording.targets)
+        )
         no_columns = np.zeros((len(recording), 3, 0))
-        unadjusted = cls(recording, sightings, mask, misclosure, target_basis, no_columns, sigma, 0)
+        unadjusted = cls(recording, sightings, mask, misclosure, coordinate_basis, no_columns, sigma, 0)
         columns = unadjusted.project_columns(parameter_design * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_SINGULAR_VALUE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        occupation = cls(recording, sightings, mask, misclosure, target_basis, instrument, sigma, dof)
+        occupation = cls(recording, sightings, mask, misclosure, basis, instrument, sigma, dof)
         return replace(
             occupation, whitened_residuals=occupation.project_columns(misclosure[:, :, None] * scale)[:, :, 0]
         )
@@ -139,13 +141,13 @@ class StationOccupation:
 
     def project_columns(self, columns: Floats) -> Floats:
         """Part (n, 3, c) of whitened columns (n, 3, c) that target coordinates and instrument errors do not explain."""
-        target_coefficients = np.einsum("nij,nic->njc", self.target_basis, columns)
+        target_coefficients = np.einsum("nij,nic->njc", self.coordinate_basis, columns)
         target_sums = np.zeros((len(self.recording.targets), *target_coefficients.shape[1:]))
         np.add.at(target_sums, self.recording.target, target_coefficients)
-        remainder = columns - np.einsum("nij,njc->nic", self.target_basis, target_sums[self.recording.target])
-        if self.instrument_basis.shape[2]:
-            instrument_coefficients = np.einsum("nik,nic->kc", self.instrument_basis, remainder)
-            remainder = remainder - np.einsum("nik,kc->nic", self.instrument_basis, instrument_coefficients)
+        remainder = columns - np.einsum("nij,njc->nic", self.coordinate_basis, target_sums[self.recording.target])
+        if self.error_basis.shape[2]:
+            instrument_coefficients = np.einsum("nik,nic->kc", self.error_basis, remainder)
+            remainder = remainder - np.einsum("nik,kc->nic", self.error_basis, instrument_coefficients)
         return np.asarray(remainder)
 
     def _projected_unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
@@ -194,14 +196,14 @@ class StationOccupation:
         u, size, _ = np.linalg.svd(self._projected_unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(NORMAL_EQUATIONS_TOLERANCE) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
-        basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
+        basis = np.concatenate([self.error_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
         return replace(
-            self, whitened_residuals=residuals.reshape(-1, 3), instrument_basis=basis, dof=self.dof - added.shape[1]
+            self, whitened_residuals=residuals.reshape(-1, 3), error_basis=basis, dof=self.dof - added.shape[1]
         )
 
     def chi2_and_dof_by_target(self) -> tuple[Floats, Floats]:
         """Weighted sums of squared residuals (T,) of the readings to each of T targets, and degrees of freedom (T,)."""
-        leverage = np.sum(self.target_basis**2, axis=2) + np.sum(self.instrument_basis**2, axis=2)
+        leverage = np.sum(self.coordinate_basis**2, axis=2) + np.sum(self.error_basis**2, axis=2)
         redundancy = np.where(self.inverse_sigmas > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
         sums = [
@@ -230,8 +232,8 @@ class StationOccupation:
 
         The degrees of freedom, 0 to 3, count the directions in which other pointings check the point.
         """
-        redundancy = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
-        redundancy = redundancy - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
+        redundancy = np.eye(3) - np.einsum("nij,nkj->nik", self.coordinate_basis, self.coordinate_basis)
+        redundancy = redundancy - np.einsum("nij,nkj->nik", self.error_basis, self.error_basis)
         in_use = self.inverse_sigmas > 0
         redundancy = np.where(in_use[:, :, None] & in_use[:, None, :], redundancy, 0.0)
         values, vectors = np.linalg.eigh(redundancy)

@@ -197,7 +197,7 @@ class Catalogue(Sequence[type[Effect]]):
         return effect_class
 
     @property
-    def session_effects(self) -> tuple[type[Effect], ...]:
+    def runtime_effects(self) -> tuple[type[Effect], ...]:
         """Effect classes that were registered in the running Python session; other processes do not know them."""
         return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER_NAME)
 

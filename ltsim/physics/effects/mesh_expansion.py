@@ -7,7 +7,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetDisplacementEffect
-from ltsim.physics.effects.places import first_pointing_time
+from ltsim.physics.effects.places import recording_start_time
 from ltsim.scene.sightings import Sightings
 
 AXIS_WEIGHTS_BY_EXPANSION_MODE = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
@@ -49,6 +49,6 @@ class MeshExpansion(TargetDisplacementEffect):
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        time_since_start = self.pointing_indicator(sightings) * (sightings.time - first_pointing_time(sightings))
+        time_since_start = self.pointing_indicator(sightings) * (sightings.time - recording_start_time(sightings))
         relative_position = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
         return (time_since_start[:, None] * relative_position * AXIS_WEIGHTS_BY_EXPANSION_MODE[self.mode])[:, :, None]

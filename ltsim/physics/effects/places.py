@@ -80,7 +80,7 @@ def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
     return [(sightings.station_names[s], sightings.target_names[t]) for s, t in index_pairs]
 
 
-def first_pointing_time(sightings: Sightings) -> float:
+def recording_start_time(sightings: Sightings) -> float:
     """Time [s] of the first pointing of a recording."""
     return float(sightings.time.min(initial=np.inf))
 
@@ -161,7 +161,7 @@ class MotionDrift(Effect):
         """
         if self.law == "visit":
             return sightings.time_since_station_start
-        time_since_start = sightings.time - first_pointing_time(sightings)
+        time_since_start = sightings.time - recording_start_time(sightings)
         return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:

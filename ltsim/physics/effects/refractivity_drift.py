@@ -1,7 +1,7 @@
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
-from ltsim.physics.effects.places import first_pointing_time
+from ltsim.physics.effects.places import recording_start_time
 from ltsim.scene.sightings import Sightings
 
 
@@ -36,7 +36,7 @@ class RefractivityDrift(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        time_since_start = sightings.time - first_pointing_time(sightings)
+        time_since_start = sightings.time - recording_start_time(sightings)
         return design_from_front_face_corrections(
             sightings, distance=self.pointing_indicator(sightings) * sightings.range_ * time_since_start
         )[:, :, None]

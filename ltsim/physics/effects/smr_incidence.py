@@ -146,7 +146,7 @@ class SmrIncidence(Effect):
         return np.concatenate([ramps, *around], axis=1)
 
     @cached_property
-    def parameters_from_table(self) -> Floats:
+    def parameter_values_of_table(self) -> Floats:
         """Parameters (14,) [m] that give the range corrections of `table`; zeros without a table."""
         if not self.table:
             return np.zeros(len(self.parameters))
@@ -179,5 +179,5 @@ class SmrIncidence(Effect):
 
         The error is the one of `table` plus the one of `parameter_values` (14,) [m].
         """
-        change: Floats = self.design(sightings) @ (self.parameters_from_table + parameter_values)
+        change: Floats = self.design(sightings) @ (self.parameter_values_of_table + parameter_values)
         return change

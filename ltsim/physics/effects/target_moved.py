@@ -9,8 +9,8 @@ from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetDisplacementEffect
 from ltsim.physics.effects.places import (
     candidate_times_between_occupations,
-    first_pointing_time,
     neighbouring_gap_times,
+    recording_start_time,
 )
 from ltsim.scene.sightings import Sightings
 
@@ -79,6 +79,6 @@ class TargetMoved(TargetDisplacementEffect):
 
     def displacement(self, sightings: Sightings) -> Floats:
         fraction = (
-            sightings.time >= self.time if self.kind == "step" else sightings.time - first_pointing_time(sightings)
+            sightings.time >= self.time if self.kind == "step" else sightings.time - recording_start_time(sightings)
         )
         return (self.pointing_indicator(sightings) * fraction)[:, None, None] * np.eye(3)

@@ -39,7 +39,7 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries a step or ramp of a law."""
-PER_SETUP_CHANGED_PARTS = ("reading", "instrument", "circle", "stand")
+PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
 """Parts of the measurement (`Response.changed_part`) for whose laws a search tries separate coefficients in each
 set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
@@ -352,7 +352,7 @@ class EmpiricalLaw(CandidateEffect):
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
-            self.regressor.kind in ("product", "amounts") or self.response.changed_part not in PER_SETUP_CHANGED_PARTS
+            self.regressor.kind in ("product", "amounts") or self.response.changed_part not in PARTS_SEPARATE_BY_SETUP
         )
         if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_AMOUNTS:
             return None

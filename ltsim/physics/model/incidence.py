@@ -41,7 +41,7 @@ class IncidenceErrors(LinearEffect):
     reflector_indicator: Floats
     """Indicator (n,) of the pointings to the reflector: 1 for these, 0 for the others of n pointings."""
     mean_parameters: Floats
-    """Parameters (p,) [SI] of the effect `smr-incidence` for the mean function."""
+    """Parameters (p,) [SI] of `smr-incidence` for the expected range error; zeros without a bench test."""
     covariance_root: Floats
     """Root (p, k) of the covariance [SI] of the p parameters of the effect `smr-incidence`: column i is their change
     by one standard deviation of the independent error i."""

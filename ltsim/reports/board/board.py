@@ -49,7 +49,7 @@ from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.scene.floor import tripod_grid_spacing
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import InvisibilityReason, shadow_cone_radii
+from ltsim.scene.visibility import InvisibilityReason, stand_shadow_radii
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
@@ -199,7 +199,7 @@ class MovableLayout:
             "reasons": visibility.reason_codes.tolist(),
             "hidden": int(InvisibilityReason.HIDDEN_BY_OBSTACLE),
             "may_stand": self.search_space.is_allowed_station(survey).tolist(),
-            "shadow": shadow_cone_radii(
+            "shadow": stand_shadow_radii(
                 survey.station_positions, 0.0, self.search_space.sight_limits.shadow_cone_opening
             ).tolist(),
             "hours": survey.duration / 3600.0,

@@ -70,7 +70,7 @@ def test_every_table_is_a_set_of_parameters() -> None:
     table = tuple(np.random.default_rng(5).normal(0.0, 8e-6, len(INCIDENCE_TABLE_ANGLES)).tolist())
     effect, chi = SmrIncidence(table=table, direction=0.7), signed(INCIDENCE_TABLE_ANGLES)[1]
     scene = sightings(np.abs(INCIDENCE_TABLE_ANGLES), chi + 0.7)
-    change = SmrIncidence().reading_change(scene, effect.parameters_from_table)[:, 0]
+    change = SmrIncidence().reading_change(scene, effect.parameter_values_of_table)[:, 0]
     np.testing.assert_allclose(change, np.array(table) - table[CENTRE], atol=1e-12)
     np.testing.assert_array_equal(change, effect.reading_change(scene, NONE)[:, 0])
 
@@ -81,7 +81,8 @@ def test_the_paper_table_is_a_typical_draw_of_the_prior() -> None:
     spread = np.sqrt((edge**2) @ SmrIncidence().plausible_sizes[:12] ** 2)
     np.testing.assert_allclose(spread, 8.85e-6, rtol=0.01)
     ratio = (
-        np.abs(SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).parameters_from_table) / SmrIncidence().plausible_sizes
+        np.abs(SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).parameter_values_of_table)
+        / SmrIncidence().plausible_sizes
     )
     assert ratio.max() < 2.0
 

@@ -61,7 +61,7 @@ def test_each_reflector_has_an_error_of_its_own() -> None:
 
 def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_see() -> None:
     mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
-    truth = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
+    truth = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS, direction=20.0 * DEGREE).parameter_values_of_table
     angles = np.abs(INCIDENCE_TABLE_ANGLES), np.where(INCIDENCE_TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
     seen = SmrIncidence.range_correction_design(*angles)
     np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)
