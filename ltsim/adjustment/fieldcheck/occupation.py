@@ -115,11 +115,9 @@ class StationOccupation:
         scale = (weight / sigma)[:, :, None]
         misclosure = np.where(weight, recording.readings - sightings.ideal_raw_readings, 0.0)
         misclosure[:, 1:] = wrap_angle(misclosure[:, 1:])
-        basis, ranks = _orthonormal_by_target(
-            target_design * scale, recording.target, len(recording.targets)
-        )
+        basis, ranks = _orthonormal_by_target(target_design * scale, recording.target, len(recording.targets))
         no_columns = np.zeros((len(recording), 3, 0))
-        unadjusted = cls(recording, sightings, mask, misclosure, coordinate_basis, no_columns, sigma, 0)
+        unadjusted = cls(recording, sightings, mask, misclosure, basis, no_columns, sigma, 0)
         columns = unadjusted.project_columns(parameter_design * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_SINGULAR_VALUE].reshape(len(recording), 3, -1)
