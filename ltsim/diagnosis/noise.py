@@ -193,20 +193,23 @@ class NoiseHypothesisSet:
         `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
         are the basis of the changes by these effects.
         """
-        at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
-        return self._log_restricted_likelihood_ratio(at, logs, residual, model_basis)
+        rows, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
+        return self._log_restricted_likelihood_ratio(rows, logs, residual, model_basis)
 
-    def _log_restricted_likelihood_ratio(self, at: Ints, logs: Floats, residual: Floats, model_basis: Floats) -> float:
+    def _log_restricted_likelihood_ratio(
+        self, rows: Ints, logs: Floats, residual: Floats, model_basis: Floats
+    ) -> float:
         """Log restricted likelihood ratio for variance factors, without approximation.
 
-        `logs` (k,) are the logarithms of the factors of the rows `at` (k,): readings, then means of repeated readings.
+        `logs` (k,) are the logarithms of the factors of the `rows` (k,): readings, then means of repeated readings.
         The other arguments are those of `log_restricted_likelihood_ratio`.
         """
         assert self.parameter_basis is not None
         weight, size = -np.expm1(-logs), len(residual)
         basis = np.hstack([self.parameter_basis, model_basis])
-        basis_rows = np.vstack([basis[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ basis])
-        values = np.concatenate([residual[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ residual])
+        single, repeated = rows[rows < size], self.averaging_matrix[rows[rows >= size] - size]
+        basis_rows = np.vstack([basis[single], repeated @ basis])
+        values = np.concatenate([residual[single], repeated @ residual])
         normal = np.eye(basis_rows.shape[1]) - basis_rows.T @ (weight[:, None] * basis_rows)
         products = basis_rows.T @ (weight * values)
         fit = float(weight @ values**2 + products @ np.linalg.solve(normal, products))

@@ -152,6 +152,17 @@ class CauseSelection:
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL)
 
     @property
+    def is_range_zero_error(self) -> bool:
+        """True if the only cause is a constant on all distances of an instrument, as large as an error of its range zero.
+
+        The limit is `MAX_TRACKER_ERROR`; a larger constant is that of another reflector.
+        """
+        hypotheses = [choice.hypothesis for choice in self.selected_hypotheses]
+        kinds = [(h.kind, h.acts_on, len(h.stations) == 1 or bool(h.targets)) for h in hypotheses]
+        is_constant = kinds == [("constant-offset", "distance", False)]
+        return is_constant and largest_displacement(self.fit, hypotheses[0]) < MAX_TRACKER_ERROR
+
+    @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
         """Certain motions of stations: for each station only the motion with the largest gain of log evidence."""
         motions: dict[tuple[str, ...], FittedMotion] = {}

@@ -23,10 +23,10 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis_library import shift_candidates
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
+from ltsim.adjustment.identification.motion_refinement import refine_motion_time
 from ltsim.adjustment.identification.nominal_offsets import smr_exchange_text
 from ltsim.adjustment.identification.recommendations import recommendation_for_cause
 from ltsim.adjustment.identification.screening import _distance_trial_hypotheses
-from ltsim.adjustment.identification.selection import _refine_motion_time
 from ltsim.adjustment.reference_values import ReferenceValue, reference_values
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
@@ -222,7 +222,7 @@ def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None
         right.fit_input, (replace(hypothesis, model_change=replace(hypothesis.model_change, effect=elsewhere)),)
     )
     assert wrong is not None and wrong.log_evidence < right.log_evidence - 100.0
-    corrected = _refine_motion_time(wrong)
+    corrected = refine_motion_time(wrong)
     assert corrected.hypotheses[0].model_change.effect.time == bump.time
     assert corrected.log_evidence == pytest.approx(right.log_evidence, abs=1e-3)
 
