@@ -269,7 +269,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
         path_lengths = path_lengths_in_regions(sightings, bounded_axes, part, width)
-        chosen = np.flatnonzero(is_passed_by_some_sights_only(path_lengths > width, sightings))
+        chosen = np.flatnonzero(is_passed_by_part_of_sights(path_lengths > width, sightings))
         lever_integrals = lever_weighted_path_lengths_in_regions(
             sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
         )
@@ -282,7 +282,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     return regions
 
 
-def is_passed_by_some_sights_only(is_crossed: Bools, sightings: Sightings) -> Bools:
+def is_passed_by_part_of_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions through which enough lines of sight, to several targets, but not almost all pass.
 
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.

@@ -153,7 +153,7 @@ class CauseSelection:
 
     @property
     def is_range_zero_error(self) -> bool:
-        """True if the only cause is a constant on all distances of an instrument, as large as an error of its range zero.
+        """True if the only cause is a constant on all distances of an instrument that its range zero may explain.
 
         The limit is `MAX_TRACKER_ERROR`; a larger constant is that of another reflector.
         """

@@ -38,7 +38,7 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
     with_position_dependence,
 )
-from ltsim.scene.regions import HallRegion, candidate_regions, is_passed_by_some_sights_only
+from ltsim.scene.regions import HallRegion, candidate_regions, is_passed_by_part_of_sights
 from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
@@ -254,7 +254,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
             gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
-            for i in np.flatnonzero(is_passed_by_some_sights_only(passing & during, sightings)):
+            for i in np.flatnonzero(is_passed_by_part_of_sights(passing & during, sightings)):
                 yield Regressor("product", factors=(path_length_regressor(regions[i], function), gate))
 
 
