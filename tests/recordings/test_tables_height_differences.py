@@ -89,3 +89,13 @@ def test_raw_circle_readings_in_both_faces(tmp_path: Path, has_faces: bool) -> N
     x, y, z = np.array([TARGETS[recording.targets[i]] for i in recording.target]).T
     elevation = np.where(recording.face == 2, np.pi - recording.readings[:, 2], recording.readings[:, 2])
     np.testing.assert_allclose(elevation, np.arctan2(z, np.hypot(x, y)), atol=1e-5)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, ""), (1.0, " m")])
+def test_heights_without_unit_in_the_title(tmp_path: Path, factor: float, unit: str) -> None:
+    """Heights in millimetres beside distances in metres, and heights with the unit in the cells."""
+    heights = f"{factor * INSTRUMENT_HEIGHT:g}{unit};{factor * TARGET_HEIGHT:g}{unit}"
+    text = table("dH;IH;TH", mark_to_mark=True).replace(f"{INSTRUMENT_HEIGHT};{TARGET_HEIGHT}", heights)
+    recording = recorded(tmp_path, text)
+    x, y, z = np.array([TARGETS[recording.targets[i]] for i in recording.target]).T
+    np.testing.assert_allclose(recording.readings[:, 2], np.arctan2(z, np.hypot(x, y)), atol=1e-5)

@@ -134,7 +134,7 @@ class ShiftFamily:
 def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace]:
     """All stations, targets, instruments or sights of a recording where a shift of readings may act.
 
-    Instruments are listed if they were used at several stations, sights if they were measured repeatedly.
+    Instruments are listed only if they were used at several stations.
     """
     order = sightings.measurement_order
     if place_kind == "instrument":
@@ -145,23 +145,19 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
             if len(stations) > 1:
                 places.append(ShiftPlace(stations if len(rows) < len(order) else (), (), rows))
         return places
-    n_targets = len(sightings.target_names)
-    places_by_kind: dict[PlaceKind, tuple[Ints, list[tuple[tuple[str, ...], tuple[str, ...]]]]] = {
-        "station": (sightings.station, [((name,), ()) for name in sightings.station_names]),
-        "target": (sightings.target, [((), (name,)) for name in sightings.target_names]),
-        "sight": (
-            sightings.station * n_targets + sightings.target,
-            [((s,), (t,)) for s in sightings.station_names for t in sightings.target_names],
-        ),
-    }
-    index, places_by_index = places_by_kind[place_kind]
+    stations, targets = sightings.station_names, sightings.target_names
+    sights = sightings.station * len(targets) + sightings.target
+    index = {"station": sightings.station, "target": sightings.target, "sight": sights}[place_kind]
     order = order[np.argsort(index[order], kind="stable")]
-    edges = np.searchsorted(index[order], np.arange(len(places_by_index) + 1))
-    return [
-        ShiftPlace(stations, targets, order[edges[i] : edges[i + 1]])
-        for i, (stations, targets) in enumerate(places_by_index)
-        if edges[i + 1] > edges[i]
-    ]
+    values, starts = np.unique(index[order], return_index=True)
+    edges = np.append(starts, len(order))
+    places = []
+    for i, value in enumerate(values.tolist()):
+        station, target = divmod(value, len(targets)) if place_kind == "sight" else (value, value)
+        station_names = () if place_kind == "target" else (stations[station],)
+        target_names = () if place_kind == "station" else (targets[target],)
+        places.append(ShiftPlace(station_names, target_names, order[edges[i] : edges[i + 1]]))
+    return places
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:

@@ -6,6 +6,7 @@ vertical angle. Height difference and horizontal distance then determine the ele
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +35,6 @@ MARK_TO_MARK_TITLES = (
     *("denivelee", "desnivel", "dislivello"),
 )
 """Titles, in the form of `normalised_title`, of height differences between the marks of station and target."""
-
-
 MAX_HALF_CIRCLE_DIFFERENCE = 0.02
 """Largest difference [rad] from half a circle of two circle readings to one target at which they are in both faces; the
 axis errors of an instrument are far below it."""
@@ -63,10 +62,13 @@ class HeightDifferences:
         return self.step / np.sqrt(12.0) / np.maximum(horizontal_distances, SHORTEST_DISTANCE)
 
 
-def height_differences(table: PointingTable, length_unit: str) -> HeightDifferences | None:
+def height_differences(
+    table: PointingTable, length_unit: str, assumed_unit: Callable[[str, Floats], str]
+) -> HeightDifferences | None:
     """Height differences in a table of horizontal distances; None if the table has vertical angles or no such column.
 
-    `length_unit` is the unit of columns without declared unit. Height differences between marks, in a table with
+    `length_unit` is the unit of height differences without declared unit, `assumed_unit(role, values)` that of heights
+    of instrument or target with these values. Height differences between marks, in a table with
     heights of instrument and target, are converted to those from tilting axis to reflector.
     """
     if table.column_with_role(("flat",)) is None or table.column_with_role(VERTICAL_ROLES) is not None:
@@ -75,15 +77,18 @@ def height_differences(table: PointingTable, length_unit: str) -> HeightDifferen
     column = next((c for c in table.columns if c.is_additional and _title_words(c) in titles), None)
     if column is None:
         return None
-    differences, step = _lengths_and_step(table, column.title, unit_in_title(column) or length_unit)
+    numbers, last_digit, cell_unit = _numbers_and_unit(table, column.title)
+    factor = SI_PER_UNIT[cell_unit or unit_in_title(column) or length_unit]
+    differences = numbers * factor
     if not np.isfinite(differences).any():
         return None
     ends = "from tilting axis to reflector"
     if _title_words(column) in MARK_TO_MARK_TITLES:
         heights = [
-            np.nan_to_num(_lengths_and_step(table, c.title, c.unit or "m")[0])
+            np.nan_to_num(values * SI_PER_UNIT[cell_unit or c.unit or assumed_unit(c.role, values)])
             for c in (table.column_with_role((role,)) for role in HEIGHT_ROLES)
             if c is not None
+            for values, _, cell_unit in (_numbers_and_unit(table, c.title),)
         ]
         if len(heights) == len(HEIGHT_ROLES):
             differences = differences - heights[0] + heights[1]
@@ -94,7 +99,7 @@ def height_differences(table: PointingTable, length_unit: str) -> HeightDifferen
     )
     del table.pointings.additional_cells[column.title]
     table.columns.remove(column)
-    return HeightDifferences(differences, step, note)
+    return HeightDifferences(differences, last_digit * factor, note)
 
 
 def is_raw_second_face(azimuths: Floats, sight_indices: Ints, faces: Ints) -> Bools:
@@ -126,10 +131,9 @@ def _title_words(column: TableColumn) -> str:
     return words if unit or not unit_in_title(column) else normalised_title(column.title.rpartition("_")[0])
 
 
-def _lengths_and_step(table: PointingTable, title: str, unit: str) -> tuple[Floats, float]:
-    """Lengths (n,) [m] in n cells of an additional column (NaN for a cell without number), and their last digit [m]."""
-    texts = table.pointings.additional_cell_texts(title)
+def _numbers_and_unit(table: PointingTable, title: str) -> tuple[Floats, float, str]:
+    """Numbers (n,) in n cells of an additional column (NaN for no number), their last digit, and unit of the cells."""
+    texts, unit = cells.split_common_unit(table.pointings.additional_cell_texts(title))
     numbers = [*map(cells.parse_number_or_angle, texts, table.pointings.thousands_separator)]
     last_digit = min((int(number.as_tuple().exponent) for number in numbers if number is not None), default=0)
-    lengths = np.array([NOT_MEASURED if number is None else float(number) for number in numbers])
-    return lengths * SI_PER_UNIT[unit], 10.0**last_digit * SI_PER_UNIT[unit]
+    return np.array([NOT_MEASURED if x is None else float(x) for x in numbers]), 10.0**last_digit, unit

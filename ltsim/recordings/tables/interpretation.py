@@ -162,7 +162,7 @@ def interpret_readings(
     all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
     interpretation = replace(interpretation, azimuth_sense=azimuth_sense, notes=all_notes)
     readings = interpretation.readings(pointings)
-    if heights := height_differences(table, length):
+    if heights := height_differences(table, length, interpretation.assumed_unit):
         interpretation = replace(
             interpretation,
             elevation_rounding_sigmas=heights.rounding_sigmas(readings[:, 0]),
