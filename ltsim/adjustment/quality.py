@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy import special
 from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
@@ -17,6 +18,7 @@ from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
     MIN_FAULTY_FRACTION_OF_GROUP,
     MIN_MISFIT_RATIO,
+    SINGLE_TEST_LEVEL,
 )
 from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
@@ -215,29 +217,33 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     planned_indices = np.flatnonzero(np.isfinite(frame.floor_plan_positions).all(axis=1))
     if len(planned_indices) < MIN_POINTS_FOR_POSE or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
-    here, there = (
-        state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
-        frame.floor_plan_positions[planned_indices] * [1.0, 1.0, 0.0],
-    )
-    extent = float(np.ptp(here, axis=0).max())
+    here, there = state.station_positions[planned_indices], frame.floor_plan_positions[planned_indices]
+    has_heights = bool(np.ptp(there[:, 2]))  # one height for all stations declares none
+    if not has_heights:
+        here, there = here * [1.0, 1.0, 0.0], there * [1.0, 1.0, 0.0]
+    extent = float(np.ptp(here[:, :2], axis=0).max())
     if extent < MAX_FLOOR_PLAN_ERROR:  # set-ups over one mark
         return
-    as_is, mirrored = (
-        float(alignment_distances(places, there, upright_alignment(places, there)).max())
-        for places in (here, here * [1.0, -1.0, 1.0])
+    as_is, *mirrored = (
+        alignment_distances(places, there, upright_alignment(places, there))
+        for places in (here, here * [1.0, -1.0, 1.0], here * [1.0, 1.0, -1.0])
     )
-    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_POINT_MISCLOSURE * extent):
+    if as_is.max() < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_POINT_MISCLOSURE * extent):
         return
     names = names_text([adjustment.recording.stations[s] for s in planned_indices])
-    if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
+    nearest = min(mirrored, key=lambda distances: float(distances.max()))
+    dof = 3 * len(here) - 4 if has_heights else 2 * len(here) - 3  # a rotation and a translation are fitted
+    p_value = float(special.fdtrc(dof, dof, np.sum(as_is**2) / np.sum(nearest**2)))  # equal errors of the floor plan
+    if nearest.max() < MAX_FLOOR_PLAN_ERROR and p_value < SINGLE_TEST_LEVEL:
+        angles, error = ("azimuths", "are clockwise") if nearest is mirrored[0] else ("elevations", "have a wrong sign")
         yield (
-            f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
-            f"and the network itself within {as_is:.2g} m: if the azimuths are clockwise, all coordinates are "
-            "mirrored; check the sense of the azimuths"
+            f"the declared positions of stations {names} fit the mirror image of this network within "
+            f"{nearest.max():.2g} m, and the network itself within {as_is.max():.2g} m: if the {angles} {error}, all "
+            f"coordinates are mirrored; check the sense of the {angles}"
         )
     else:
         yield (
-            f"the declared positions of stations {names} differ from the network by up to {as_is:.2g} m and are not "
+            f"the declared positions of stations {names} differ from the network by up to {as_is.max():.2g} m and are not "
             "used: check them"
         )
 

@@ -227,6 +227,21 @@ def test_a_set_up_that_is_the_mirror_image_of_the_others_is_no_solution(stations
         lt.adjust(recording.with_readings(readings))
 
 
+def test_a_floor_plan_with_heights_shows_that_elevations_have_a_wrong_sign() -> None:
+    """Heights that are rounded to 0.1 m decide; a floor plan on which all stations have one height does not."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop", {"instrument.errors": {"draw": False}}), seed=7)
+    mirrored = recording.with_readings(recording.readings * [1.0, 1.0, -1.0])
+    (warning,) = adjustment_warnings(adjust(mirrored))
+    assert "fit the mirror image of this network" in warning
+    assert "elevations have a wrong sign" in warning
+    flat = {
+        name: station.model_copy(update={"position_mm": (*station.position_mm[:2], 0.0)})
+        for name, station in recording.setup.stations.items()
+    }
+    without_heights = mirrored.replace(setup=recording.setup.model_copy(update={"stations": flat}))
+    assert adjustment_warnings(adjust(without_heights)) == ()
+
+
 def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
     recording, _ = network(seed=9)
     places = {n: Station(position_mm=tuple(1e3 * p)) for n, p in zip(recording.stations, STATIONS, strict=True)}

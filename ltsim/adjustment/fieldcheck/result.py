@@ -41,8 +41,11 @@ CheckItemKind = Literal[
 motion of a station, `drift` motion of a station at a constant rate, `instrument-drift` drift of the zeros of an
 instrument, `closure` scatter of repeated pointings, `network` agreement of the stations, `reference` reference values,
 `level` levels, `mistake` blunders."""
-FIRST_REPORTED_TEST_KINDS = ("cause", "mistake", "bump", "drift")
-"""Kinds of failed tests that are reported first, because their causes also produce two-face differences and scatter."""
+FIRST_REPORTED_TEST_KINDS = ("cause", "mistake", "gross", "bump", "drift")
+"""Kinds of failed tests that are reported first, because their causes also produce two-face differences and scatter.
+
+Of one set-up, a gross error precedes a bump: pointings are rejected only while each explains more than any bump.
+"""
 
 
 class CheckItem(Entry):
