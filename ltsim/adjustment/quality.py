@@ -243,8 +243,8 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
         )
     else:
         yield (
-            f"the declared positions of stations {names} differ from the network by up to {as_is.max():.2g} m and are not "
-            "used: check them"
+            f"the declared positions of stations {names} differ from the network by up to {as_is.max():.2g} m and are "
+            "not used: check them"
         )
 
 
