@@ -106,9 +106,38 @@ class ResidualSpace:
 
     def whitened_design(self, effect: LinearEffect) -> Floats:
         """Whitened design columns (m, q) of m equations for a (catalogue or empirical) effect of q parameters."""
+        return self.whiten(effect.design(self.sightings), self._gauge_design(effect))
+
+    def nonzero_whitened_design(self, effect: LinearEffect) -> tuple[Ints, Floats]:
+        """Indices (r,) of the r equations that an effect of q parameters changes, and their whitened design (r, q).
+
+        They are the nonzero rows of `whitened_design`. For an effect on few readings this is much faster.
+        """
+        place, weight = self._used_reading_weights
+        readings = effect.design(self.sightings).reshape(-1, len(effect.parameters))
+        nonzero = np.flatnonzero(readings) // readings.shape[1]
+        changed = nonzero[np.diff(nonzero, prepend=-1) > 0]
+        rows = self._equation_of_reading[changed]
+        changed, rows = changed[rows >= 0], rows[rows >= 0]
+        lengths = self.adjustment.problem.gauge_rows.decorrelate(self._gauge_design(effect))
+        changed_lengths = np.flatnonzero(lengths.any(axis=1))
+        return (
+            np.append(rows, len(place) + changed_lengths),
+            np.vstack([readings[changed] * weight[rows], lengths[changed_lengths]]),
+        )
+
+    def _gauge_design(self, effect: LinearEffect) -> Floats:
+        """Derivatives (g, q) of the g reference lengths (gauge) with respect to the q parameters of an effect."""
         gauge = self.adjustment.problem.gauge_rows
-        lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
-        return self.whiten(effect.design(self.sightings), lengths)
+        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
+
+    @cached_property
+    def _equation_of_reading(self) -> Ints:
+        """Equation index (3 n,) of each reading of n pointings; -1 for a reading that is not in use."""
+        place, _ = self._used_reading_weights
+        equations = np.full(self.is_used_reading.size, -1)
+        equations[place] = np.arange(len(place))
+        return equations
 
     def project(self, design_columns: Floats) -> Floats:
         """Projections (m, q) onto the residual space of q whitened columns (m, q), or of one vector (m,)."""

@@ -190,14 +190,15 @@ class CatalogueDesigns:
             np.append(of, n * other) for of, n in zip(used_indices, space.is_used_reading.shape, strict=True)
         )
         for effect in effects:
-            design_columns = space.whitened_design(effect)
-            row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(design_columns.T, 0.0, order="C")))
+            row_indices, design_columns = space.nonzero_whitened_design(effect)
             if not len(row_indices):
                 continue
             touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
             is_sparse = len(row_indices) < MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN * space.n_equations
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
-            design_columns = design_columns[stored]
+            if not is_sparse:
+                nonzero_rows, design_columns = design_columns, np.zeros((len(stored), design_columns.shape[1]))
+                design_columns[np.searchsorted(stored, row_indices)] = nonzero_rows
             design_columns *= effect.plausible_sizes
             effect, coarser = _with_size_raised_to_noise(effect, design_columns, pointing[stored])
             transposed_designs = np.ascontiguousarray(design_columns.T * coarser, dtype=np.float32)

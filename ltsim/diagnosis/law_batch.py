@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,8 +36,7 @@ columns that several batches share during a screening, and to those of all batch
 again takes a sixth of the time of a screening."""
 
 
-@dataclass(frozen=True)
-class ScreenedLaw:
+class ScreenedLaw(NamedTuple):
     """Screened empirical law: changed quantity, function of covariates, place, and approximate log evidence."""
 
     response: Response
@@ -194,9 +193,9 @@ class LawBatch:
             len(self.places), -1
         )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(log_evidences / MAX_LOG_EVIDENCE_ROUNDING_ERROR), axis=1, kind="stable")[
-            :, :N_EXACTLY_EVALUATED_HYPOTHESES
-        ]
+        best_index = indices_of_largest(
+            np.round(log_evidences / MAX_LOG_EVIDENCE_ROUNDING_ERROR), N_EXACTLY_EVALUATED_HYPOTHESES
+        )
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(
@@ -307,6 +306,20 @@ class LawBatch:
             len(self.places), count, n_components, n_components, d, k, k
         )
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, n_components * k, n_components * k)
+
+
+def indices_of_largest(values: Floats, count: int) -> Ints:
+    """Indices (p, c) of the `count` largest entries of each row of `values` (p, q), or of all q if there are fewer.
+
+    The largest is first, and the first of equal entries. This is faster than sorting the rows. `values` is overwritten.
+    """
+    np.nan_to_num(values, copy=False, nan=np.finfo(np.float64).min)  # above the mark of selected entries
+    rows = np.arange(len(values))
+    indices = np.empty((len(values), min(count, values.shape[1])), dtype=np.int64)
+    for column in indices.T:
+        column[:] = values.argmax(axis=1)
+        values[rows, column] = -np.inf
+    return indices
 
 
 def evaluate_law_batches(

@@ -241,6 +241,21 @@ def test_light_verbs_wait_for_nothing_heavy(workplace: Path, tmp_path: Path) -> 
     assert not HEAVY & {name.partition(".")[0] for name in loaded}
 
 
+def test_text_of_a_result_waits_for_no_picture(workplace: Path, tmp_path: Path) -> None:
+    loaded = loaded_by(
+        ["adjust", str(workplace / "rec"), "--out", str(tmp_path / "adjustment")],
+        ["calibrate", str(workplace / "rec"), "--out", str(tmp_path / "calibration")],
+        ["check", str(workplace / "rec")],
+    )
+    assert not {"matplotlib", "duckdb", "pyarrow", "numba", "scipy.stats"} & loaded
+
+
+def test_picture_of_a_check_waits_for_no_campaign(workplace: Path, tmp_path: Path) -> None:
+    loaded = loaded_by(["check", str(workplace / "rec"), "--out", str(tmp_path / "check")])
+    assert "matplotlib" in loaded
+    assert not {"duckdb", "pyarrow", "numba", "scipy.stats", "ltsim.campaigns", "ltsim.diagnosis.diagnosis"} & loaded
+
+
 def test_one_effect_loads_no_file_format() -> None:
     code = "import sys, ltsim.physics.effects.beam_tilt; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

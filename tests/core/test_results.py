@@ -21,6 +21,7 @@ from ltsim.calibration.schema import VerdictEntry
 from ltsim.core.equality import ValueEquality, equal_values
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
+from ltsim.reports.plots import FIGURE_FUNCTION_BY_CLASS
 from ltsim.reports.verbs import View
 from ltsim.simulation.injector import DetectionCurve
 from ltsim.simulation.scenario import Scenario
@@ -201,6 +202,13 @@ def final_kinds(kind: type) -> set[type]:
     """Classes derived from a class from which none is derived."""
     derived = kind.__subclasses__()
     return set().union(*map(final_kinds, derived)) if derived else {kind}
+
+
+def test_every_figure_belongs_to_a_class_that_exists() -> None:
+    for path in FIGURE_FUNCTION_BY_CLASS:
+        module, _, name = path.rpartition(".")
+        kind = getattr(import_module(module), name)
+        assert issubclass(kind, Result) and f"{kind.__module__}.{kind.__qualname__}" == path
 
 
 @pytest.mark.long

@@ -15,6 +15,7 @@ from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candid
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import RELATIVE_ERROR_OF_LAW_FORM, EffectModel, Hypothesis, HypothesisRanking
+from ltsim.diagnosis.law_batch import indices_of_largest
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import NullEnsemble
@@ -276,3 +277,27 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     found = [EffectModel((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
     assert found[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_ERROR_OF_LAW_FORM * whole @ whole)
     assert found[1].discrepancy_penalty == 0.0
+
+
+def test_the_largest_entries_are_those_of_a_stable_sort() -> None:
+    values = np.round(random_stream(1, "largest").normal(size=(30, 40)))  # many equal entries
+    values[3], values[4, :35], values[5, 2] = -np.inf, -np.inf, np.nan
+    order = np.argsort(-values, axis=1, kind="stable")
+    assert np.array_equal(indices_of_largest(values.copy(), 7), order[:, :7])
+    assert np.array_equal(np.sort(indices_of_largest(values[:, :4].copy(), 7)), np.tile(np.arange(4), (30, 1)))
+
+
+def test_nonzero_rows_are_those_of_the_whole_design() -> None:
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    readings = recording.readings.copy()
+    readings[3, 1], readings[7, 0] = np.nan, np.nan
+    space = ResidualSpace.from_adjustment(adjust(recording.with_readings(readings), misalignment_construction()))
+    assert len(space.adjustment.problem.gauge_rows) and not space.is_used_reading.all()
+    changes_lengths = False
+    for effect in catalogue_candidate_effects(space.sightings):
+        whole = space.whitened_design(effect)
+        rows, changes = space.nonzero_whitened_design(effect)
+        assert np.array_equal(rows, np.flatnonzero(whole.any(axis=1)))
+        assert np.array_equal(changes, whole[rows])
+        changes_lengths |= bool(np.any(rows >= space.is_used_reading.sum()))
+    assert changes_lengths

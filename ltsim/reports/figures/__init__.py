@@ -1,8 +1,10 @@
-"""Figures of reports, in modules that are imported on first use, since matplotlib is slow to import.
+"""Figures of reports, in modules that are imported when a picture is drawn, since matplotlib is slow to import.
 
-Sections call `figures.points.displacement_figure(...)` when a picture is drawn.
+Sections refer to a function as `figures.points.displacement_figure`. The first call of such a function imports its
+module, so that a text without pictures does not import matplotlib.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +22,25 @@ FIGURE_MODULES = ("campaign", "floor_plan", "marked_floor_plans", "parameters", 
 """Names of the modules in this package that draw figures."""
 
 
-def _import_figure_module(name: str) -> Any:
-    """Module of figures with this name; raises AttributeError for another name."""
+class _DeferredModule:
+    """Module of figures whose functions import it when they are called."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def __getattr__(self, function_name: str) -> Callable[..., Any]:
+        def draw(*arguments: Any, **options: Any) -> Any:
+            return getattr(import_module(self._path), function_name)(*arguments, **options)
+
+        return draw
+
+
+def _deferred_figure_module(name: str) -> _DeferredModule:
+    """Module of figures with this name, not yet imported; raises AttributeError for another name."""
     if name in FIGURE_MODULES:
-        return import_module(f"{__name__}.{name}")
+        return _DeferredModule(f"{__name__}.{name}")
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
 if not TYPE_CHECKING:
-    __getattr__ = _import_figure_module
+    __getattr__ = _deferred_figure_module
