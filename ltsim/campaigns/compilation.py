@@ -45,7 +45,7 @@ def _discard_unreadable_cache(function: Callable[..., object]) -> None:
 
     Numba compares the date of the source only after it has read the index, which names modules of that version.
     """
-    cache = FunctionCache(function)
+    cache: Any = FunctionCache(function)  # type: ignore[no-untyped-call]
     try:
         cache.load_overload(types.void(), cpu_target.target_context)  # reads the index, whatever the signature
     except Exception:
