@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.fitting import multilaterate
 from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
@@ -334,7 +334,7 @@ def test_a_start_off_the_marks_is_put_onto_them():
     recording, _ = total_stations(3)
     found = adjust(recording)
     off = dataclasses.replace(found.state, station_positions=found.state.station_positions + 0.3)
-    again = adjust_from_state(recording, start_state=off)
+    again = adjust(recording, start_state=off)
     np.testing.assert_allclose(again.state.station_positions, found.state.station_positions, atol=1e-9)
     assert again.chi2 == pytest.approx(found.chi2, abs=1e-6)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.recordings import read
 
@@ -82,7 +82,7 @@ def test_gama_stopped_short_where_the_coordinates_differ(experiment):
     assert ours.chi2 < theirs.square_sum - 0.05
     assert experiment.best_turns(ours, name) > ours.chi2 + 10
     assert np.sum(np.abs(experiment.sigma_ratio(ours, name) - 1) > 0.02) == 1
-    between_marks = adjust_from_state(experiment.to_marks(ours), start_state=ours.state)
+    between_marks = adjust(experiment.to_marks(ours), start_state=ours.state)
     assert np.abs(experiment.sigma_ratio(between_marks, name) - 1).max() < 0.001
 
 

@@ -16,7 +16,6 @@ ALLOWED = {
     "core/storage.py": "the place itself",
     "cli/campaign.py": "a template of the package",
     "cli/examples.py": "samples of the package",
-    "cli/options.py": "modules of the package",
     "cli/terminal.py": "the null device",
     "cli/view.py": "the address of the page, in a browser",
     "planning/loading.py": "plans of the package",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError, ModelError
 from ltsim.core.randomness import random_stream
@@ -163,7 +163,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust_from_state(
+            points = adjust(
                 again, misalignment_construction(), start_state=inputs.network_or_coordinates.state
             ).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
