@@ -137,7 +137,7 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     found = adjust(once)
     assert copied.chi2 == pytest.approx(found.chi2)
     assert copied.dof == found.dof
-    assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
+    assert copied.target_covariances == pytest.approx(found.target_covariances, rel=1e-9, abs=1e-16)
     assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows are exact copies of other rows")
     assert not copied.is_rejected_reading.any()
 

@@ -49,8 +49,8 @@ def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
     found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
     assert found.solution.has_converged
     assert found.is_height_undetermined_target.all()
-    assert np.isnan(found.target_covariance[:, 2]).all()
-    assert np.isfinite(found.target_covariance[:, :2, :2]).all()
+    assert np.isnan(found.target_covariances[:, 2]).all()
+    assert np.isfinite(found.target_covariances[:, :2, :2]).all()
     assert found.sigma0 == pytest.approx(0.97, abs=0.005)
 
 
@@ -102,7 +102,7 @@ def test_esa_adjusts_and_what_does_not_fit_is_found():
 def test_the_arc_adjusts_with_all_statistics():
     recording = read(DATA / "cern-lgc-trackers" / "Arc_2_3.lgc")
     found = adjust(recording)
-    spread, poses, redundancy = found.target_covariance, found.pose_covariance, found.redundancy
+    spread, poses, redundancy = found.target_covariances, found.pose_covariance, found.redundancy
     assert found.solution.has_converged
     assert found.problem.free_motions.shape[1] == 1
     assert found.sigma0 == pytest.approx(0.637, abs=0.002)

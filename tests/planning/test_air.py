@@ -29,7 +29,7 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
     information = ExpectedPrecision.from_survey(made, built)
-    added = information.target_covariance - ExpectedPrecision.from_survey(without, built).target_covariance
+    added = information.target_covariances - ExpectedPrecision.from_survey(without, built).target_covariances
     recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
     errors = reading_changes_per_air_sigma(air, sightings)
     moved = []
