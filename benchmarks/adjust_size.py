@@ -85,7 +85,7 @@ def measured(case: Case) -> dict[str, float | str]:
         wall, start = time.perf_counter(), time.process_time()
         found = adjust(recording, make_construction(built))
         solved = time.process_time()
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
         poses, redundancy = found.pose_covariance, found.redundancy
         end = time.process_time()
         best = min(best, (end - start, solved - start, time.perf_counter() - wall))

@@ -32,7 +32,7 @@ from benchmarks.peers import (
     scipy_analytic,
     scipy_differences,
 )
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.batch_distance_calibrator import BatchDistanceCalibrator
 from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows, run_shard_task
@@ -104,9 +104,7 @@ def peers(trials: int) -> None:
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
     known = [
-        lambda r=r: adjust_from_state(
-            r, engine.construction, start_state=engine.batch_network.state_with_zero_parameters
-        )
+        lambda r=r: adjust(r, engine.construction, start_state=engine.batch_network.state_with_zero_parameters)
         for r in recordings
     ]
     rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.shard_rows import CellContext, TrialBatchRowBuilder
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
@@ -56,7 +56,7 @@ class WithoutOutliers:
             if not found:
                 break
             use[found[0].pointing_index, found[0].observable_column] = False
-            adjustment = adjust_from_state(recording, self.construction, reading_mask=use, start_state=adjustment.state)
+            adjustment = adjust(recording, self.construction, reading_mask=use, start_state=adjustment.state)
         return adjustment
 
     def difference(self, block: TrialBatch, trial: int, found: CalibratedBatch) -> float:

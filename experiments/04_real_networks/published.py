@@ -70,7 +70,7 @@ def beside(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
     for name, axis in zip(theirs.names, theirs.axis, strict=True):
         if name in recording.targets:
             at = recording.targets.index(name)
-            found.append((ours.state.target_points[at, axis], ours.target_covariance[at, axis, axis]))
+            found.append((ours.state.target_points[at, axis], ours.target_covariances[at, axis, axis]))
         else:
             at = marks.mark_names.index(name)
             place = ours.state.station_positions[at] - marks.instrument_offsets[at]

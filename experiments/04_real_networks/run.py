@@ -14,7 +14,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from experiments.common import RECORDINGS, Made, Options, run_steps, show_table, tell
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import ParameterSelection
@@ -44,7 +44,7 @@ def gama(out: Path) -> None:
     for name in GAMA:
         recording, theirs = read(RECORDINGS / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
         ours = adjust(recording)
-        reduced = adjust_from_state(to_marks(ours), start_state=ours.state)
+        reduced = adjust(to_marks(ours), start_state=ours.state)
         unit = theirs.apriori**2
         off, between = (100 * np.abs(sigma_ratio(a, name) - 1).max() for a in (ours, reduced))
         rows.append({

@@ -18,7 +18,7 @@ from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.recordings.specification import Specification, completed_specification_values, data_sheet_specification
-from ltsim.recordings.tables.sheets import read_small_table
+from ltsim.recordings.spreadsheets.sheets import read_small_table
 
 TestKind = Literal["length", "two-face"]
 """Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""

@@ -353,7 +353,7 @@ class Adjustment(Result):
         return covariance
 
     @cached_property
-    def target_covariance(self) -> Floats:
+    def target_covariances(self) -> Floats:
         """Covariances (T, 3, 3) [m^2] of the coordinates of T targets; NaN for undetermined targets and heights."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))

@@ -75,7 +75,7 @@ def _axes_point_tests(
     indices = [datum_adjustment.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
     turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
-    covariance = factor**2 * turn @ datum_adjustment.target_covariance[indices] @ turn.T
+    covariance = factor**2 * turn @ datum_adjustment.target_covariances[indices] @ turn.T
     gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
     motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)

@@ -35,7 +35,7 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     covariance = adjustment.factorised_normals.multiply_by_covariance(unit)[columns]
     if adjustment.datum is not None:
         covariance = adjustment.datum.transform_covariance(covariance[None], columns[None])[0]
-    is_undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
+    is_undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariances)).ravel()
     covariance[is_undetermined] = covariance[:, is_undetermined] = np.nan
     return 0.5 * (covariance + covariance.T)
 

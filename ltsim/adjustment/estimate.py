@@ -51,6 +51,7 @@ def adjust(
     recording: Recording,
     construction: GeometricErrorModel | None = None,
     *,
+    start_state: NetworkState | None = None,
     effects: Sequence[LinearEffect] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
@@ -61,16 +62,20 @@ def adjust(
     prior: ParameterPrior | None = None,
     tested_reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
 ) -> Adjustment:
-    """Network adjustment of a recording, without start values from the user.
+    """Network adjustment of a recording, with or without a given start state.
 
     Poses, target coordinates, and the parameters of `construction` and `effects` are estimated. Gross errors of
-    readings, and reference values that contradict the other observations, are excluded first.
+    readings, and reference values that contradict the other observations, are excluded first, unless the adjustment
+    starts at a given state.
 
     Parameters
     ----------
     recording : Recording
     construction : GeometricErrorModel, optional
         Geometric error model of the tracker; default: an ideal tracker without parameters.
+    start_state : NetworkState, optional
+        State at which the iterations start. With it, gross errors and wrong reference values are not tested. By default
+        the start state is determined from the readings.
     effects : sequence of LinearEffect
         Additional effects whose parameters are estimated, with the weak prior of `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
@@ -112,25 +117,32 @@ def adjust(
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     built = construction or ideal_construction()
     recording, n_copied_rows = without_copied_rows(recording)
-    _, network, is_gross, is_unconnected = screen_gross_errors(recording)
-    is_gross &= ~_is_over_wrong_mark(recording, is_gross)
-    parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
+    is_gross = np.zeros(len(recording), dtype=bool)
+    is_unconnected = np.zeros(len(recording.targets), dtype=bool)
+    is_screened = start_state is None
+    if start_state is None:
+        _, network, is_gross, is_unconnected = screen_gross_errors(recording)
+        is_gross &= ~_is_over_wrong_mark(recording, is_gross)
+        parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
+        start_state = NetworkState(*network, parameters)
     usable = np.broadcast_to(
         ((~is_gross | robust) & ~is_unconnected[recording.target])[:, None], recording.readings.shape
     )
     whole, start_state = _problem_and_start_state(
         MeasurementModel(recording, built, tuple(effects)),
-        NetworkState(*network, parameters),
+        start_state,
         sigma,
         usable if reading_mask is None else usable & reading_mask,
         effect_prior_sigma,
         prior,
     )
     wrong: tuple[ReferenceTest, ...] = ()
-    if not robust:
+    if is_screened and not robust:
         problem, solution, wrong = _without_wrong_references(whole, start_state, tested_reference_kinds)
+    elif not robust:
+        problem, solution = whole, solve(whole, start_state)
     else:
-        if not whole.has_no_references:
+        if is_screened and not whole.has_no_references:
             used = whole.is_used_reading & ~is_gross[:, None] if is_gross.any() else whole.is_used_reading
             without_gross = replace(whole, is_used_reading=used)
             problem, solution, wrong = _without_wrong_references(without_gross, start_state, tested_reference_kinds)
@@ -141,43 +153,6 @@ def adjust(
     unconnected = tuple(recording.targets[i] for i in np.flatnonzero(is_unconnected))
     is_gross &= ~problem.is_used_reading.any(axis=1)
     adjustment = Adjustment(problem, solution, is_gross, components, unconnected, wrong, n_duplicate_rows=n_copied_rows)
-    return _transform_to_datum(adjustment, datum_names)
-
-
-@raise_for_singular_network
-@single_threaded
-def adjust_from_state(
-    recording: Recording,
-    construction: GeometricErrorModel | None = None,
-    *,
-    start_state: NetworkState,
-    effects: Sequence[LinearEffect] = (),
-    sigma: Floats | None = None,
-    reading_mask: Bools | None = None,
-    datum_names: Sequence[str] | None = None,
-    robust: bool = False,
-    noise_grouping: NoiseGrouping | None = None,
-    effect_prior_sigma: float = WEAK_EFFECT_PRIOR_FACTOR,
-    prior: ParameterPrior | None = None,
-) -> Adjustment:
-    """Network adjustment that starts at `start_state` and does not test for gross errors and wrong reference values.
-
-    The other parameters, the result and the errors are those of `adjust`.
-    """
-    recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
-    recording, n_copied_rows = without_copied_rows(recording)
-    whole, start_state = _problem_and_start_state(
-        MeasurementModel(recording, construction or ideal_construction(), tuple(effects)),
-        start_state,
-        sigma,
-        np.ones(recording.readings.shape, dtype=bool) if reading_mask is None else reading_mask,
-        effect_prior_sigma,
-        prior,
-    )
-    problem, solution = snoop_readings(whole, start_state) if robust else (whole, solve(whole, start_state))
-    problem, solution, components = _with_estimated_noise(whole, problem, solution, noise_grouping, robust=robust)
-    no_gross_errors = np.zeros(len(recording), dtype=bool)
-    adjustment = Adjustment(problem, solution, no_gross_errors, components, n_duplicate_rows=n_copied_rows)
     return _transform_to_datum(adjustment, datum_names)
 
 

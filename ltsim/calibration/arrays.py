@@ -53,7 +53,7 @@ class CalibrationArrays(ValueEquality):
     """Names of the adjusted targets."""
     target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Coordinates of the targets, shape (targets, 3) [m]."""
-    target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    target_covariances: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Covariance of the coordinates of each target, shape (targets, 3, 3) [m^2]."""
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
     """Adjusted network; None for a calibration that was read from a file."""

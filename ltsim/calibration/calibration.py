@@ -248,9 +248,9 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.arrays.target_points
 
     @property
-    def target_covariance(self) -> Floats:
+    def target_covariances(self) -> Floats:
         """Covariance of the coordinates of each target, shape (targets, 3, 3) [m^2]."""
-        return self.arrays.target_covariance
+        return self.arrays.target_covariances
 
     @property
     def adjustment(self) -> Adjustment | None:
@@ -292,7 +292,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
             "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
-            "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariance),
+            "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariances),
             "stations": self._stations_table,
             "outliers": lambda: OUTLIERS_TABLE.with_rows(self.outliers),
             "noise": lambda: NOISE_TABLE.with_rows(self.noise),

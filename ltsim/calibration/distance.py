@@ -105,7 +105,7 @@ def calibrate_distance(
         is_fixed=held,
         target_names=recording.targets,
         target_points=adjustment.state.target_points,
-        target_covariance=adjustment.target_covariance
+        target_covariances=adjustment.target_covariances
         + added_covariance[unknowns.target_columns[:, :, None], unknowns.target_columns[:, None, :]],
         adjustment=adjustment,
     )

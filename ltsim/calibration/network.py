@@ -252,7 +252,7 @@ def _make_calibration(
         is_fixed=is_fixed,
         target_names=recording.targets,
         target_points=adjustment.state.target_points,
-        target_covariance=adjustment.target_covariance,
+        target_covariances=adjustment.target_covariances,
         adjustment=adjustment,
     )
     return Calibration.from_arrays(

@@ -62,11 +62,11 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
-    covariance = factor**2 * calibration.target_covariance + covariance_due_to_air(adjustment, unknowns.target_columns)
+    covariance = factor**2 * calibration.target_covariances + covariance_due_to_air(adjustment, unknowns.target_columns)
     stations = covariance_due_to_air(adjustment, unknowns.pose_columns)
     return calibration.with_changes(
         covariance=_scaled_parameter_covariance(calibration, factor),
-        target_covariance=covariance,
+        target_covariances=covariance,
         stations=tuple(
             _scaled_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)
         ),

@@ -7,6 +7,8 @@ from typing import Any, TypeVar, cast
 import llvmlite.binding
 import numba
 from numba import types
+from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
 from numba.extending import overload
 
 from ltsim.core.arrays import Floats
@@ -34,21 +36,18 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
         kernel = compiled_kernel(caches_code=True)
     except RuntimeError:  # neither the package's folder nor the home folder can be written to
         return compiled_kernel(caches_code=False)
-    _discard_unreadable_cache(kernel)
+    _discard_unreadable_cache(function)
     return kernel
 
 
-def _discard_unreadable_cache(kernel: Any) -> None:
-    """Removal of cached machine code whose index cannot be read, such as that of another version of the package.
+def _discard_unreadable_cache(function: Callable[..., object]) -> None:
+    """Removal of cached machine code of a function if its index cannot be read, such as that of another version.
 
     Numba compares the date of the source only after it has read the index, which names modules of that version.
     """
-    cache = getattr(kernel, "_cache", None)
-    index = getattr(cache, "_cache_file", None)
-    if cache is None or index is None:
-        return
+    cache: Any = FunctionCache(function)  # type: ignore[no-untyped-call]
     try:
-        index._load_index()
+        cache.load_overload(types.void(), cpu_target.target_context)  # reads the index, whatever the signature
     except Exception:
         with suppress(OSError):
             cache.flush()

@@ -279,7 +279,7 @@ def _network_mean_square_z(
         missed = adjustment.factorised_normals.multiply_by_covariance(pick)
         bias, less = -missed @ expected.mean_true_values, missed**2 @ expected.missing_variance_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]
-    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]
+    variance = np.einsum("tii->ti", calibration.target_covariances) - less[unknowns.target_columns]
     targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))
     squares = []
     for i, station in enumerate(calibration.stations[1:], start=1):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
+from ltsim.cli.estimation_options import AdjustOptions, CalibrateOptions, DiagnoseOptions, HistoryOptions
 from ltsim.cli.options import (
     CalibrationFileOption,
     OptionalCalibrationFileOption,
@@ -44,9 +45,9 @@ NominalPointsOption = Annotated[
 def adjust(
     source: RecordingArgument,
     *,
+    options: AdjustOptions,
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
 
@@ -54,15 +55,15 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _run_estimation(lt.adjust, source, reading_options, terminal, options)
+    _run_estimation(lt.adjust, source, reading_options, terminal, options.arguments())
 
 
 def calibrate(
     source: RecordingArgument,
     *,
+    options: CalibrateOptions,
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> None:
     """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
 
@@ -70,7 +71,7 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _run_estimation(lt.calibrate, source, reading_options, terminal, options)
+    _run_estimation(lt.calibrate, source, reading_options, terminal, options.arguments())
 
 
 def correct(
@@ -244,9 +245,9 @@ def diagnose(
     held_out: HeldOutErrorOption = None,
     fail_on_mismatch: FailOnMismatchOption = False,
     *,
+    options: DiagnoseOptions,
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> int:
     """Test whether recording and model agree; if not, report cause, location, probability, and the next measurement.
 
@@ -261,7 +262,7 @@ def diagnose(
     terminal.check_overwrite(Diagnosis, *COMPANION_FILE_NAMES)
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("diagnosing"):
-        diagnosis = lt.diagnose(recording, held_out=held_out, **options)
+        diagnosis = lt.diagnose(recording, held_out=held_out, **options.arguments())
     diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
     terminal.print_result(diagnosis)
     return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
@@ -292,9 +293,9 @@ def history(
     each_set_up: EachSetUpOption = False,
     fail_on_change: FailOnChangeOption = False,
     *,
+    options: HistoryOptions,
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
-    **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
     """Report an instrument's parameters over several calibrations: estimates, uncertainties, and changes.
 
@@ -310,7 +311,7 @@ def history(
     for source in sources:
         source_by_label |= _calibrations_or_recordings(terminal, source, reading_options, each_set_up=each_set_up)
     with terminal.show_progress("calibrating"):
-        content = lt.history(source_by_label, **options)
+        content = lt.history(source_by_label, **options.arguments())
 
     def history_picture() -> dict[str, str]:
         from ltsim.reports.figures.parameters import parameter_history_figure

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_campaign_packages
+from ltsim.cli.options import FunctionOptions, PairParser, bounded_option, choice_option, parse_toml_value
 from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
-from ltsim.core.arguments import argument_bounds_text, bounded_number_parser, path_of_file_or_built_in
+from ltsim.core.arguments import path_of_file_or_built_in
 from ltsim.core.errors import InputError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -43,14 +45,61 @@ CampaignFolderOption = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class CampaignOptions(FunctionOptions):
+    """Options of `lt.campaign`."""
+
+    jobs: Annotated[
+        int,
+        bounded_option(
+            "jobs",
+            "Number of worker processes on this machine; the rows do not depend on it. With dask the scheduler's "
+            "workers are used.",
+            "-j",
+        ),
+    ] = 1
+    backend: Annotated[
+        str,
+        choice_option(
+            "backend", ("local", "dask"), "Processes on this machine (local), or workers of a dask cluster (dask)."
+        ),
+    ] = "local"
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            "--scheduler",
+            metavar="NAME",
+            help="Address of the dask scheduler, such as tcp://host:8786, or the file that the scheduler wrote.",
+        ),
+    ] = ""
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="True to continue the campaign in the folder. If levels, trials or statistics were added to the "
+            "file, only the missing rows and columns are computed.",
+        ),
+    ] = False
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="New values by key of the file, such as 200 for trials, or by dotted key of the scenario, such as 2 "
+            "for work.faces.",
+        ),
+        PairParser("changes", parse_toml_value),
+    ] = None
+
+
 def campaign(
     file: CampaignFileArgument = None,
     show_example: ShowTemplateOption = False,
+    *,
+    options: CampaignOptions,
     out: CampaignFolderOption = None,
     force: ForceOption = False,
-    *,
     terminal: Terminal,
-    **options: Any,
 ) -> int:
     """Simulate, calibrate and evaluate many trials; after an interruption --resume continues.
 
@@ -79,15 +128,18 @@ def campaign(
     from ltsim.campaigns.verbs import rows_folder
     from ltsim.reports.sections.campaign import campaign_section
 
-    workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
+    workers = WorkerSettings(options.jobs, options.backend, options.scheduler)
+    changes = options.arguments().get("changes")
     path = path_of_file_or_built_in(file)
     folder = rows_folder(path, out)
-    settings, scenarios = load_campaign(path, options["changes"])
+    settings, scenarios = load_campaign(path, changes)
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
         with terminal.show_progress("trials", n_trials) as advance:
-            outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
+            outcome = run_campaign(
+                path, folder, progress=advance, workers=workers, force=force, resume=options.resume, changes=changes
+            )
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shard_paths())
         raise UserInterruptError(
@@ -127,13 +179,7 @@ def solver_difference_sentence(comparison: SolverComparison, results: CampaignRe
 
 RecoverJobsOption = Annotated[
     int | None,
-    typer.Option(
-        "--jobs",
-        "-j",
-        parser=bounded_number_parser("jobs"),
-        metavar=f"NUMBER: {argument_bounds_text('jobs')}",
-        help="Number of processes; default: one per core, or a single one if the trials are few.",
-    ),
+    bounded_option("jobs", "Number of processes; default: one per core, or a single one if the trials are few.", "-j"),
 ]
 
 
@@ -148,13 +194,82 @@ MIN_TRIALS_FOR_SEVERAL_PROCESSES = 100
 """Number of trials from which on several processes are used by default; for fewer trials one process is faster."""
 
 
+@dataclass(frozen=True)
+class RecoverOptions(FunctionOptions):
+    """Options of `lt.recover`."""
+
+    trials: Annotated[int, bounded_option("trials", "Number of simulated recordings, at least two.", "-n")] = 200
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="Options of ltsim's calibrator, as for calibrate.")
+    ] = "network"
+    construction: Annotated[
+        str | None,
+        typer.Option(
+            "--construction",
+            metavar="NAME",
+            help="Geometric error model of ltsim's calibrator; default the model of the scenario.",
+        ),
+    ] = None
+    with_effects: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="EFFECT[:WHERE,...]", help="Options of ltsim's calibrator, as for calibrate."),
+        tuple,
+    ] = None
+    calibrator: Annotated[
+        str | None,
+        typer.Option(
+            "--calibrator",
+            metavar="'CMD {recording} {out}'",
+            help="External calibrator, compared with ltsim's calibrator: a command CMD {recording} {out} that reads a "
+            "recording and writes parameters as JSON. In Python it can also be a function of a recording that "
+            "returns value, sigma (or None) and unit of each parameter by name. Parameters of effects have names "
+            "such as head-sag:sag. A trial without a valid result (an error, no file, a value that is not "
+            "finite) fails; the run ends after three failed trials.",
+        ),
+    ] = None
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            metavar="NAME=QUANTITY",
+            help="Limit that 95 % of the errors of a parameter must not exceed, such as 2 urad for beam-tilt; only "
+            "parameters with a tolerance are then checked.",
+        ),
+        PairParser("tolerance", lambda text: text.strip("'\"")),
+    ] = None
+    allow_unchecked: Annotated[
+        bool,
+        typer.Option(
+            "--allow-unchecked",
+            help="True to pass although a parameter cannot be checked, because it has neither a declared standard "
+            "deviation nor a tolerance.",
+        ),
+    ] = False
+    errors: Annotated[
+        str | None,
+        choice_option(
+            "errors",
+            ("drawn", "stated"),
+            "Instrument errors that are drawn from the prior, or given by the scenario; default stated if the "
+            "scenario gives any.",
+        ),
+    ] = None
+    seed: Annotated[
+        int,
+        bounded_option(
+            "seed",
+            "Seed of all random draws. Trial N equals trial N of simulate with this seed and the geometry per-trial.",
+        ),
+    ] = 0
+
+
 def recover(
     scenario: ScenarioArgument,
     jobs: RecoverJobsOption = None,
     junit: JunitFileOption = None,
     *,
+    options: RecoverOptions,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> None:
     """Check in many trials that injected instrument errors are recovered: simulate, calibrate, compare.
 
@@ -172,10 +287,10 @@ def recover(
 
     terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
     workers = (
-        (1 if options["trials"] < MIN_TRIALS_FOR_SEVERAL_PROCESSES else os.cpu_count() or 1) if jobs is None else jobs
+        (1 if options.trials < MIN_TRIALS_FOR_SEVERAL_PROCESSES else os.cpu_count() or 1) if jobs is None else jobs
     )
-    with terminal.show_progress("trials", options["trials"]) as step:
-        result = lt.recover(scenario, progress=step, jobs=workers, **options)
+    with terminal.show_progress("trials", options.trials) as step:
+        result = lt.recover(scenario, progress=step, jobs=workers, **options.arguments())
     result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv_text()})
     if junit is not None:
         write_text(junit, with_digest_comment(junit_xml(result, str(scenario))))

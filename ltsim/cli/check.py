@@ -6,11 +6,12 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import ltsim as lt
+from ltsim.cli.estimation_options import BenchOptions, CheckOptions, CompareOptions, UncertaintyOptions
 from ltsim.cli.examples import example_file_content
 from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
@@ -51,9 +52,9 @@ def check(
     mpe: TwoFaceLimitOption = None,
     watch: WatchOption = False,
     *,
+    options: CheckOptions,
     reading_options: ReadingOptionsWithControl,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> int:
     """Test a recording in the field (go or no-go): faces, gross errors, moved tripods, drift, level and scatter.
 
@@ -69,14 +70,14 @@ def check(
     mpe_limit = parse_mpe(mpe)
 
     def run_check() -> Check:
-        return lt.check(reading_options.read(source, is_growing=True), mpe=mpe_limit, **options)
+        return lt.check(reading_options.read(source, is_growing=True), mpe=mpe_limit, **options.arguments())
 
     if watch:
         watch_recording(terminal, run_check, wait_for_changes(source))
         return 0
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("checking"):
-        result = lt.check(recording, mpe=mpe_limit, **options)
+        result = lt.check(recording, mpe=mpe_limit, **options.arguments())
     if terminal.out is not None:
         from ltsim.reports.style import svg_text  # most checks draw nothing
 
@@ -187,7 +188,7 @@ def accept(
     return int(content.judgement not in (None, "accepted"))
 
 
-def bench(file: BenchTableArgument, *, terminal: ResultFolderTerminal, **options: Any) -> None:
+def bench(file: BenchTableArgument, *, options: BenchOptions, terminal: ResultFolderTerminal) -> None:
     """Estimate a reflector's range error over the angle of incidence from its bench test, with uncertainty.
 
     In the bench test a rotary table turns the reflector. The first harmonic of the probe readings is the eccentricity
@@ -198,7 +199,7 @@ def bench(file: BenchTableArgument, *, terminal: ResultFolderTerminal, **options
     from ltsim.adjustment.evaluation.bench import BenchFile
 
     terminal.check_overwrite(BenchFile)
-    content = terminal.write_result(lt.bench(file, **options))
+    content = terminal.write_result(lt.bench(file, **options.arguments()))
     terminal.print_json(content.content())
     terminal.print_text(repr(content))
     terminal.print_text("\n" + content.table().text())
@@ -224,9 +225,9 @@ def compare(
     source: RecordingArgument,
     second: LaterRecordingArgument,
     *,
+    options: CompareOptions,
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> int:
     """Report the points that moved between two recordings, with displacements and detection limits.
 
@@ -247,7 +248,7 @@ def compare(
         for p in (source, second)
     )
     with terminal.show_progress("comparing"):
-        comparison = lt.compare(first, later, **options)
+        comparison = lt.compare(first, later, **options.arguments())
     comparison = terminal.write_result(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv_text()})
     terminal.print_result(comparison)
     return int(bool(comparison.moved_points))
@@ -271,8 +272,8 @@ def uncertainty(
     against: ComparedResultsOption = None,
     show: ShowTemplateOption = False,
     *,
+    options: UncertaintyOptions,
     terminal: ResultFolderTerminal,
-    **options: Any,
 ) -> int:
     """Evaluate the uncertainty of measured features: GUM and Monte Carlo, budget, conformity with tolerances.
 
@@ -295,10 +296,10 @@ def uncertainty(
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
-    seed = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
+    seed = tasks.monte_carlo.seed if options.seed is None else options.seed
     recording = _data_of_tasks(terminal, tasks, file, seed, source_is_in_file=source is None)
     with terminal.show_progress("drawing trials"):
-        content = lt.uncertainty(recording, tasks, **options)
+        content = lt.uncertainty(recording, tasks, **options.arguments())
     comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
     content = terminal.write_result(content, lambda: {table.file: table.csv_text() for table in tables})

@@ -1,13 +1,14 @@
 """Command `convert`: conversion of a recording from one file format to another."""
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import ReadingOptionsWithFrame
+from ltsim.cli.options import FunctionOptions, ReadingOptionsWithFrame, bounded_option
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
     FILE_OR_FOLDER_OUTPUT,
@@ -29,15 +30,29 @@ OutputFormatOption = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class ConvertOptions(FunctionOptions):
+    """Options of `lt.convert`."""
+
+    every: Annotated[
+        int,
+        bounded_option(
+            "every",
+            "N to write only every N-th pointing from a station to a target in one face. Long monitoring "
+            "recordings contain more pointings than a network needs.",
+        ),
+    ] = 1
+
+
 def convert(
     source: InputArgument,
     destination: OutputArgument,
     to: OutputFormatOption = "native",
     *,
+    options: ConvertOptions,
     reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     terminal: Terminal,
-    **options: Annotated[Any, "convert every"],
 ) -> None:
     """Read a recording in one format and write it in another.
 
@@ -50,7 +65,7 @@ def convert(
     """
     (RECORDING_OUTPUT if to == "native" else COMPARED_FILE_OUTPUT).check(destination, force)
     source_recording = reading_options.read(source)
-    writer = partial(lt.convert, source_recording, to=to, **options)
+    writer = partial(lt.convert, source_recording, to=to, **options.arguments())
     (recording,) = write_outputs({destination: writer}, force=force)
     terminal.print_notes(source_recording.notes)
     topics = recording_summary(recording)

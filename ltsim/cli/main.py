@@ -117,7 +117,7 @@ class CommandGroup(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         command_app = typer.Typer(add_completion=False, **TYPER_SETTINGS)
-        command_app.command(cmd_name, cls=SingleValueCommand)(typer_command(cmd_name, command_function(cmd_name)))
+        command_app.command(cmd_name, cls=SingleValueCommand)(typer_command(command_function(cmd_name)))
         return typer.main.get_command(command_app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import JobsOption, ReadingOptions
+from ltsim.cli.options import FunctionOptions, JobsOption, PairParser, ReadingOptions, bounded_option
 from ltsim.cli.output_checks import RESULT_FOLDER_OUTPUT, ForceOption, check_overwrite
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import InputError, RecordError
@@ -67,8 +68,32 @@ WORK_ORDER_FILE = "work-order.html"
 """Name of the HTML file with the work order for the shop floor."""
 
 
+@dataclass(frozen=True)
+class PlanOptions(FunctionOptions):
+    """Options of `lt.plan`."""
+
+    starts: Annotated[
+        int | None, bounded_option("starts", "Number of independent searches; default from the plan file.")
+    ] = None
+    seed: Annotated[
+        int | None, bounded_option("seed", "Seed of the random draws of the search; default from the plan file.")
+    ] = None
+    move: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--move",
+            metavar="STATION=X,Y[,Z[,YAW]]",
+            help="Positions of stations, x, y, z in mm and yaw in degrees; yaw, or z and yaw, can be omitted. The "
+            "layout with these positions is evaluated, without a search.",
+        ),
+        PairParser("move", lambda text: text.split(",")),
+    ] = None
+
+
 def plan(
     source: PlanSourceArgument = None,
+    *,
+    options: PlanOptions,
     out: PlanFolderOption = None,
     jobs: JobsOption = 2,
     show: ShowPlanOption = False,
@@ -76,11 +101,9 @@ def plan(
     between: ComparedEffectsOption = None,
     site: SitePlanOption = None,
     without: BlockedStationOption = None,
-    *,
     reading_options: ReadingOptions,
     force: ForceOption = False,
     terminal: Terminal,
-    **options: Any,
 ) -> None:
     """Find a layout of stations and reflectors, with reasons; or, with --after, the next measurement.
 
@@ -111,7 +134,8 @@ def plan(
     if show:
         terminal.print_always(builtin_plan_text(source))
         return None
-    moved_stations = options.pop("move")
+    arguments = options.arguments()
+    moved_stations = arguments.pop("move", None)
     if without is not None and (moved_stations or out is not None):
         raise InputError(
             "--without lists positions for a station and cannot be used with --move or --out; evaluate one with --move"
@@ -130,7 +154,7 @@ def plan(
         with terminal.show_progress("evaluating the layout"):
             plan_result = lt.plan(source, move=moved_stations)
     else:
-        plan_result = _search_plan(terminal, source, folder, {"jobs": jobs, **options})
+        plan_result = _search_plan(terminal, source, folder, {"jobs": jobs, **arguments})
     return _write_and_print_plan(terminal, plan_result, folder)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_campaign_packages
-from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
+from ltsim.cli.options import FunctionOptions, ReadingOptionsWithFrame, RecordingArgument, bounded_option
 from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
@@ -87,17 +88,34 @@ DetectionCurveOption = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class SimulateOptions(FunctionOptions):
+    """Options of `lt.simulate`."""
+
+    seed: Annotated[
+        int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
+    ] = 0
+    trial: Annotated[
+        int,
+        bounded_option(
+            "trial",
+            "Number of the trial in a campaign of this scenario and seed. The calibration of the recording "
+            "equals the row of that trial in the campaign's results.",
+        ),
+    ] = 0
+
+
 def simulate(
     scenario: ScenarioArgument,
+    *,
+    options: SimulateOptions,
     out: RecordingFolderOption = None,
     truth: TruthFileOption = None,
     nominal: NominalFileOption = None,
     per_trial: PositionsPerTrialOption = False,
     show: ShowScenarioOption = False,
     force: ForceOption = False,
-    *,
     terminal: Terminal,
-    **options: Annotated[Any, "simulate seed trial"],
 ) -> None:
     """Simulate one recording of a virtual hall.
 
@@ -110,7 +128,9 @@ def simulate(
         raise InputError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
     from ltsim.simulation.truth import nominal_points_csv
 
-    recording, simulated_truth = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
+    recording, simulated_truth = lt.simulate(
+        scenario, geometry="per-trial" if per_trial else "shared", **options.arguments()
+    )
     nominal_content = nominal_points_csv(simulated_truth) if nominal is not None else ""
     outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, recording)}
     if truth is not None:
@@ -119,7 +139,7 @@ def simulate(
         outputs[nominal] = partial(write_text, text=nominal_content)
     write_outputs(outputs, force=force)
     terminal.print_notes(recording.notes)
-    terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
+    terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options.arguments()})
     terminal.print_text(recording.headline)
     terminal.print_text(f"written to {out}" + (f", true values to {truth}" if truth else ""))
 
@@ -134,17 +154,38 @@ def _complete_scenario_text(scenario: str) -> str:
     return scenario_to_toml(load_scenario(scenario))
 
 
+@dataclass(frozen=True)
+class InjectOptions(FunctionOptions):
+    """Options of `lt.inject`."""
+
+    noncentrality: Annotated[
+        float | None,
+        bounded_option(
+            "noncentrality",
+            "Noncentrality to which each effect is scaled: weighted sum of squares of the part of the effect "
+            "that remains in the residuals. By default the effects are not scaled.",
+        ),
+    ] = None
+    seed: Annotated[int, bounded_option("seed", "Seed of all random draws.")] = 0
+    injections: Annotated[
+        int,
+        bounded_option(
+            "injections", "Number of injections at each noncentrality; after each injection the recording is diagnosed."
+        ),
+    ] = 5
+
+
 def inject(
     source: RecordingArgument,
     causes: InjectedEffectsArgument,
+    *,
+    options: InjectOptions,
     out: InjectionFolderOption = None,
     truth: InjectedValuesFileOption = None,
     curve: DetectionCurveOption = False,
-    *,
     reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     terminal: Terminal,
-    **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
     """Add the effects of faults to the readings of a recording, by the exact model; noise and outliers stay.
 
@@ -156,16 +197,15 @@ def inject(
         file = None if out is None else out / "curve.csv"
         if file is not None:
             check_new_file(file, force)
-        del options["noncentrality"]
-        return _run_injection_curve(
-            terminal, reading_options.read_and_report(source, terminal), causes[0], file, options
-        )
+        recording = reading_options.read_and_report(source, terminal)
+        return _run_injection_curve(terminal, recording, causes[0], file, options)
     if out is None:
         raise ModelError("ltsim inject has no output: give --out with a folder for the changed recording, or --curve")
     check_recording_folder(out, force)
     recording = reading_options.read_and_report(source, terminal)
-    del options["injections"]
-    injected_recording, injected_values = lt.inject(recording, *causes, **options)
+    injected_recording, injected_values = lt.inject(
+        recording, *causes, noncentrality=options.noncentrality, seed=options.seed
+    )
     outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, injected_recording)}
     if truth is not None:
         outputs[truth] = partial(
@@ -176,7 +216,7 @@ def inject(
         {
             "pointings": len(injected_recording),
             "injected": len(injected_values.injected_effects),
-            "seed": options["seed"],
+            "seed": options.seed,
         }
     )
     if truth is None:
@@ -186,15 +226,16 @@ def inject(
 
 
 def _run_injection_curve(
-    terminal: Terminal, recording: Recording, effect_specification: str, file: Path | None, options: dict[str, Any]
+    terminal: Terminal, recording: Recording, effect_specification: str, file: Path | None, options: InjectOptions
 ) -> None:
     """Output of the detection curve of one effect: printed and, if a file is given, written as CSV.
 
-    `effect_specification` is the text of the effect on the command line, `options` are keyword arguments of
-    `lt.injection_curve`.
+    `effect_specification` is the text of the effect on the command line.
     """
     with terminal.show_progress("injecting and diagnosing"):
-        detection_curve = lt.injection_curve(recording, effect_specification, **options)
+        detection_curve = lt.injection_curve(
+            recording, effect_specification, injections=options.injections, seed=options.seed
+        )
     table = detection_curve.table()
     terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
     terminal.print_text(detection_curve._summary_lines()[0])
@@ -232,12 +273,21 @@ method = "distance"
 """Content of the campaign file of the demonstration, with a replacement field for the seed."""
 
 
+@dataclass(frozen=True)
+class DemoOptions(FunctionOptions):
+    """Options of `lt.simulate`."""
+
+    seed: Annotated[
+        int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
+    ] = 0
+
+
 def demo(
+    *,
+    options: DemoOptions,
     out: DemoFolderOption = Path("ltsim-demo"),
     force: ForceOption = False,
-    *,
     terminal: Terminal,
-    **options: Annotated[Any, "simulate seed"],
 ) -> None:
     """Simulate, calibrate, repeat with many simulated instruments, inject a fault, diagnose it, and write one report.
 
@@ -252,7 +302,7 @@ def demo(
     for number, (title, step) in enumerate(DEMO_STEPS.items(), start=1):
         start_time = time.perf_counter()
         with terminal.show_progress(title):
-            outcome = step(out, options["seed"])
+            outcome = step(out, options.seed)
         duration_s = time.perf_counter() - start_time
         terminal.print_text(f"{number}. {title} ({duration_s:.1f} s)\n   {outcome}")
         outcomes.append({"step": title, "outcome": outcome, "seconds": round(duration_s, 2)})

@@ -3,14 +3,15 @@
 import os
 import sys
 import webbrowser
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from pydantic import ValidationError
 
 import ltsim as lt
-from ltsim.cli.options import ReadingOptionsWithFrame
+from ltsim.cli.options import FunctionOptions, ReadingOptionsWithFrame, choice_option
 from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import InputError, RecordError, require_extra
@@ -64,18 +65,49 @@ ReportHeaderTextOption = Annotated[
 DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 
 
+@dataclass(frozen=True)
+class ViewOptions(FunctionOptions):
+    """Options of `lt.view`."""
+
+    cad: Annotated[
+        str | None,
+        typer.Option(
+            "--cad", metavar="FILE", help="CAD file (STL, OBJ, PLY, GLB, STEP or IGES) that is shown in the hall."
+        ),
+    ] = None
+    cad_unit: Annotated[
+        str | None,
+        choice_option(
+            "cad_unit",
+            ("mm", "m", "in"),
+            "Unit of the coordinates in the CAD file; default by its format (glTF: metres; STEP: declared in the "
+            "file; others: millimetres).",
+        ),
+    ] = None
+    cad_up: Annotated[
+        str | None,
+        choice_option("cad_up", ("y", "z"), "Axis of the CAD file that points up; default by its format (glTF: y)."),
+    ] = None
+    colour: Annotated[
+        str,
+        choice_option(
+            "colour", ("incidence", "residual"), "Quantity shown by the colour of the lines of sight of a recording."
+        ),
+    ] = "incidence"
+
+
 def view(
     place: ViewSourceArgument = None,
     plan: PlanToMoveOption = None,
     png: PictureFileOption = None,
     html: PageFileOption = None,
     *,
+    options: ViewOptions,
     reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     out: MovedPlanFolderOption = None,
     port: PortOption = 0,
     quiet: QuietOption = False,
-    **options: Any,
 ) -> None:
     """Show the hall in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
@@ -100,7 +132,7 @@ def view(
         )
     with terminal.show_progress("drawing the hall"):
         source = place if reading_options == ReadingOptionsWithFrame() else reading_options.read(Path(place))
-        scene_view = lt.view(source, **options)
+        scene_view = lt.view(source, **options.arguments())
         if png is not None:
             scene_view.write_png(png)
         if html is not None:
@@ -140,6 +172,21 @@ def _has_display() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
+@dataclass(frozen=True)
+class ReportOptions(FunctionOptions):
+    """Options of `lt.report`."""
+
+    recording: Annotated[
+        str | None,
+        typer.Option(
+            "--recording",
+            metavar="FILE",
+            help="Recording from which a calibration or diagnosis was computed, if it is not in the folder.",
+        ),
+    ] = None
+    title: Annotated[str | None, typer.Option("--title", metavar="NAME", help="Title of the page.")] = None
+
+
 def report(
     folder: ReportFolderArgument,
     instrument: ReportHeaderTextOption = None,
@@ -148,7 +195,8 @@ def report(
     customer: ReportHeaderTextOption = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
-    **options: Any,
+    *,
+    options: ReportOptions,
 ) -> None:
     """Write report.html into DIR: one page that works offline, with the verdict, tables, figures and the 3D view.
 
@@ -163,7 +211,7 @@ def report(
     terminal = Terminal(quiet)
     about = _page_header(instrument=instrument, date=date, operator=operator, customer=customer)
     with terminal.show_progress("drawing the report"):
-        page = lt.report(folder, about=about, print_message=terminal.print_note, **options)
+        page = lt.report(folder, about=about, print_message=terminal.print_note, **options.arguments())
     terminal.print_text(f"written to {page}")
 
 

@@ -91,7 +91,7 @@ def average_over_explanations(
     ) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = refit.adjustment
-    covariance = adjustment.target_covariance + covariance_due_to_air(
+    covariance = adjustment.target_covariances + covariance_due_to_air(
         adjustment, adjustment.problem.unknowns.target_columns
     )
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
@@ -121,7 +121,7 @@ def _max_subtracted_fraction_of_target_shifts(
         + deviations_along_shift @ deviations_along_shift
     )
     noise = float(
-        np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(weighted_deviations_by_explanation**2)
+        np.nansum(np.einsum("tii->t", adjustment.target_covariances)) + np.nansum(weighted_deviations_by_explanation**2)
     )
     return max_subtracted_shift_fraction(float(shift @ shift), spread, noise)
 

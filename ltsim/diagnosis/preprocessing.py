@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
 from ltsim.adjustment.identification.cause_selection import largest_displacement
@@ -107,7 +107,7 @@ def adjustment_without_blunders(
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust_from_state(
+        baseline = adjust(
             moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
         )
     axes = [test for test in baseline.axes_point_tests if test.is_excluded]

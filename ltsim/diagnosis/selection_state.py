@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
@@ -140,7 +140,7 @@ class SelectionState:
             return Refit(self.baseline_adjustment, (), ())
         old = self.baseline_adjustment
         adjusted = partial(
-            adjust_from_state,
+            adjust,
             with_declared_centring(old.recording, selected_noise_hypotheses),
             old.construction,
             sigma=sigma,
@@ -169,7 +169,7 @@ class SelectionState:
             owners = [self.recording.instruments.index(name) for name in contradiction.instruments]
             freed[owners, old.construction.parameter_names.index(contradiction.parameter.name)] = True
         prior = old.problem.prior.with_widened_sigmas(freed)
-        baseline = adjust_from_state(
+        baseline = adjust(
             old.recording,
             old.construction,
             effects=old.effects,

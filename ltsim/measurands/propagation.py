@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy import optimize, special
 
-from ltsim.adjustment import adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.equality import ValueEquality
 from ltsim.core.limits import MAX_UNCERTAINTY_TRIALS_TIMES_RESULTS
@@ -143,7 +143,7 @@ def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[M
         noise = random_stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
         readings[used] += noise * problem.reading_sigmas[used]
-        again = adjust_from_state(
+        again = adjust(
             recording.with_readings(readings),
             network_or_coordinates.construction,
             effects=network_or_coordinates.effects,

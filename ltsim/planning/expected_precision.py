@@ -120,19 +120,19 @@ class ExpectedPrecision:
         )
 
     @cached_property
-    def target_covariance(self) -> Floats:
+    def target_covariances(self) -> Floats:
         """Covariance matrix (T, 3, 3) [m^2] of each of the T targets, including the uncertainty of the air.
 
         The datum is the mean of all targets (inner constraints).
         """
-        return self._inner_datum_adjustment.target_covariance + covariance_due_to_air(
+        return self._inner_datum_adjustment.target_covariances + covariance_due_to_air(
             self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.target_columns
         )
 
     @cached_property
     def target_point_errors(self) -> Floats:
         """Point error (T,) [m] of each of the T targets: square root of the trace of its covariance matrix."""
-        return np.sqrt(np.einsum("tii->t", self.target_covariance))
+        return np.sqrt(np.einsum("tii->t", self.target_covariances))
 
     @property
     def target_rms(self) -> float:

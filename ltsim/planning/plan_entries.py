@@ -98,7 +98,7 @@ class PlannedReflectorEntry(Entry):
         If there is a `check` against tolerances, the entries contain its results.
         """
         survey, information = layout.survey, layout.expected_precision
-        expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
+        expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariances)) / MICROMETRE
         return tuple(
             cls(
                 name=name,
@@ -356,7 +356,7 @@ class DetectableSize(Entry):
     """Variant with the largest minimal detectable size: its station, target or shape parameters."""
     plausible_size: Finite = 0.0
     """Size of the effect in an instrument or hall that is bad, but still plausible."""
-    visible_fraction: OptionalFloat = None
+    residual_fraction: OptionalFloat = None
     """Fraction of the change of the readings by the effect that remains in the residuals, median over all variants."""
 
     @classmethod
@@ -372,7 +372,7 @@ class DetectableSize(Entry):
             largest_size=row.worst_size / factor,
             largest_size_at=row.worst_variant,
             plausible_size=row.plausible_size / factor,
-            visible_fraction=row.visible_fraction,
+            residual_fraction=row.residual_fraction,
         )
 
 

@@ -235,7 +235,7 @@ def check_tolerances(
         return ToleranceCheck(lost_station_or_sight, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
     names = information.survey.target_names
     radius_by_name = dict(
-        zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
+        zip(names, error_radius(information.target_covariances, tolerances.confidence_level).tolist(), strict=True)
     )
     radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point_m if name in radius_by_name}
     ratios = {name: value / tolerances.tolerance_by_point_m[name] for name, value in radii.items()}

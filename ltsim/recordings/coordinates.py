@@ -26,8 +26,8 @@ from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     COORDINATE_ROLES,
     READING_ROLES,
     SIGMA_ROLES,
@@ -36,8 +36,8 @@ from ltsim.recordings.tables.header import (
     header_columns,
     title_words_and_unit,
 )
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet, read_sheets, rows_of_file_beginning
-from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
+from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet, read_sheets, rows_of_file_beginning
+from ltsim.recordings.spreadsheets.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"

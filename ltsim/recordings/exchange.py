@@ -22,8 +22,8 @@ from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
+from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
 from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 

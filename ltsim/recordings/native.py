@@ -41,7 +41,7 @@ from ltsim.recordings.reflectors import excess_radii, smr_names
 from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import keys_deviating_from_data_sheet
-from ltsim.recordings.tables.sheets import SheetRow, is_table_folder
+from ltsim.recordings.spreadsheets.sheets import SheetRow, is_table_folder
 from ltsim.recordings.transcription_errors import require_degrees_and_millimetres
 
 OBSERVATIONS_FILE = "observations.csv"

@@ -161,7 +161,7 @@ def workshop_from_adjustment(
     """
     recording, state = adjustment.recording, adjustment.state
     largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
-    has_plan_position = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
+    has_plan_position = np.asarray(np.isfinite(adjustment.target_covariances[:, :2, :2]).all(axis=(1, 2)))
     rows, new_index = has_plan_position[recording.target], np.cumsum(has_plan_position) - 1
     target_changes = (
         None
@@ -181,7 +181,7 @@ def workshop_from_adjustment(
             largest_residuals[rows],
             "largest normalised residual",
         ),
-        target_covariances=np.nan_to_num(adjustment.target_covariance[has_plan_position]),
+        target_covariances=np.nan_to_num(adjustment.target_covariances[has_plan_position]),
         target_corrections=target_changes,
     )
     return workshop_with_surroundings(network, recording.setup)

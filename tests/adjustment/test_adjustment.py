@@ -141,7 +141,7 @@ def test_predicted_covariance_is_the_spread_of_repeated_adjustments():
         found = adjust(recording, construction)
         off = found.state.target_points - in_first_frame(truth.state)
         squares["targets"].append(
-            np.mean([d @ np.linalg.solve(c, d) for d, c in zip(off, found.target_covariance, strict=True)]) / 3
+            np.mean([d @ np.linalg.solve(c, d) for d, c in zip(off, found.target_covariances, strict=True)]) / 3
         )
         moved = (truth.state.station_positions[1:] - truth.state.station_positions[0]) @ truth.state.station_rotations[
             0

@@ -57,7 +57,7 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
         np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
         assert b[0] > 0 < c[1]
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
         np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
         assert sigma[recording.targets.index("T20")][0] > 1e-6
     assert "the axes of the declared coordinates of the datum's targets" in lt.adjust(named).frame

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.identification.selection import identify_causes
 from ltsim.adjustment.quality import MAX_POSE_CURVATURE, adjustment_warnings, pose_curvatures
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
@@ -137,7 +137,7 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     found = adjust(once)
     assert copied.chi2 == pytest.approx(found.chi2)
     assert copied.dof == found.dof
-    assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
+    assert copied.target_covariances == pytest.approx(found.target_covariances, rel=1e-9, abs=1e-16)
     assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows are exact copies of other rows")
     assert not copied.is_rejected_reading.any()
 
@@ -206,7 +206,7 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
     rng, inside, trials = random_stream(2, "bent"), 0, 40
     for _ in range(trials):
         noise = rng.standard_normal(recording.readings.shape) * recording.reading_sigmas()
-        found = adjust_from_state(recording.with_readings(recording.readings + noise), start_state=where)
+        found = adjust(recording.with_readings(recording.readings + noise), start_state=where)
         gap = found.state.station_positions[4] - where.station_positions[4]
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
     assert (pose_curvatures(found)[4] > MAX_POSE_CURVATURE) == bent

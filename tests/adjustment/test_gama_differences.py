@@ -47,7 +47,7 @@ class Printed:
         """Rows of our and their coordinate [m] and standard deviation by sigma0 [mm], as (k, 2) each."""
         places, sigma = (
             found.state.target_points,
-            found.sigma0 * np.sqrt(found.target_covariance[:, range(3), range(3)]),
+            found.sigma0 * np.sqrt(found.target_covariances[:, range(3), range(3)]),
         )
         ours, theirs = [], []
         for point in self.adjusted.split("; "):
@@ -323,7 +323,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     )
     assert "known differences" in {source.name for source in sources}
     spread = sum(source.covariance for source in sources)
-    np.testing.assert_allclose(np.diag(spread), found.target_covariance[:, range(3), range(3)].ravel(), rtol=1e-6)
+    np.testing.assert_allclose(np.diag(spread), found.target_covariances[:, range(3), range(3)].ravel(), rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -213,7 +213,7 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
     at = [(names.index(word[:-1]), "xyz".index(word[-1])) for word in network.unknown.split()]
     assert found.dof == dof
     assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
-    ours, sigma = found.state.target_points, np.sqrt(found.target_covariance[:, range(3), range(3)])
+    ours, sigma = found.state.target_points, np.sqrt(found.target_covariances[:, range(3), range(3)])
     assert np.abs([ours[i] for i in at] - x).max() < PRINTED / 5
     np.testing.assert_allclose([sigma[i] for i in at], spread, rtol=1e-3)
     told = {word[:-1] for word in network.unknown.split() if word[-1] == "z"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.centring import correct_centring, estimate_centring_errors
 from ltsim.adjustment.fieldcheck import check
 from ltsim.core.randomness import random_stream
@@ -114,6 +114,6 @@ def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() ->
     mended, (told,) = correct_centring(found)
     assert (told.effect_name, told.targets) == ("target-moved", ("P4",))
     assert told.displacement == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.displacement_sigma)
-    again = adjust_from_state(mended, start_state=found.state)
+    again = adjust(mended, start_state=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
     assert estimate_centring_errors(again) is None

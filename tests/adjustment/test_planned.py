@@ -22,7 +22,7 @@ def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:
     )
     assert planned.solution.status is TerminationStatus.PLANNED
     assert planned.solution.has_converged
-    for name in ("first_instrument_covariance", "pose_covariance", "target_covariance", "redundancy"):
+    for name in ("first_instrument_covariance", "pose_covariance", "target_covariances", "redundancy"):
         ours, theirs = getattr(planned, name), getattr(solved, name)
         assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-9 * np.abs(theirs).max())
 

@@ -68,7 +68,7 @@ def with_setup(recording: Recording, **changes: Any) -> Recording:
 def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
     """Adjusted less true coordinates (T, 3) [m], and the covariances."""
     found = adjust(recording)
-    return found.state.target_points - truth.target_points, found.target_covariance
+    return found.state.target_points - truth.target_points, found.target_covariances
 
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.recordings import read
 
@@ -49,8 +49,8 @@ def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
     found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
     assert found.solution.has_converged
     assert found.is_height_undetermined_target.all()
-    assert np.isnan(found.target_covariance[:, 2]).all()
-    assert np.isfinite(found.target_covariance[:, :2, :2]).all()
+    assert np.isnan(found.target_covariances[:, 2]).all()
+    assert np.isfinite(found.target_covariances[:, :2, :2]).all()
     assert found.sigma0 == pytest.approx(0.97, abs=0.005)
 
 
@@ -82,7 +82,7 @@ def test_gama_stopped_short_where_the_coordinates_differ(experiment):
     assert ours.chi2 < theirs.square_sum - 0.05
     assert experiment.best_turns(ours, name) > ours.chi2 + 10
     assert np.sum(np.abs(experiment.sigma_ratio(ours, name) - 1) > 0.02) == 1
-    between_marks = adjust_from_state(experiment.to_marks(ours), start_state=ours.state)
+    between_marks = adjust(experiment.to_marks(ours), start_state=ours.state)
     assert np.abs(experiment.sigma_ratio(between_marks, name) - 1).max() < 0.001
 
 
@@ -102,7 +102,7 @@ def test_esa_adjusts_and_what_does_not_fit_is_found():
 def test_the_arc_adjusts_with_all_statistics():
     recording = read(DATA / "cern-lgc-trackers" / "Arc_2_3.lgc")
     found = adjust(recording)
-    spread, poses, redundancy = found.target_covariance, found.pose_covariance, found.redundancy
+    spread, poses, redundancy = found.target_covariances, found.pose_covariance, found.redundancy
     assert found.solution.has_converged
     assert found.problem.free_motions.shape[1] == 1
     assert found.sigma0 == pytest.approx(0.637, abs=0.002)

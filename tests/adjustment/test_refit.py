@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import ParameterEstimate, refit_with_effects
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
@@ -19,7 +19,7 @@ from tests.networks import with_effect
 
 
 def refitted(
-    effect: Effect, guess: Effect, values: list[float], *, noise: float = 1.0, adjusted: Any = adjust_from_state
+    effect: Effect, guess: Effect, values: list[float], *, noise: float = 1.0, adjusted: Any = adjust
 ) -> tuple[Adjustment, dict[str, ParameterEstimate]]:
     recording = with_effect(effect, values, noise=noise)
     start = adjust(recording, misalignment_construction()).state
@@ -79,7 +79,7 @@ def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:
 
     def capped(*args: Any, **kwargs: Any) -> Adjustment:
         nonlocal bad
-        found = adjust_from_state(*args, **kwargs)
+        found = adjust(*args, **kwargs)
         if len(kwargs["effects"]) == 1 and kwargs["effects"][0] != guess:
             bad += 1
             return replace(found, solution=replace(found.solution, status=TerminationStatus.MAX_ITERATIONS_REACHED))

@@ -50,7 +50,7 @@ def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     assert np.abs(step / np.sqrt(np.diag(spread))).max() < 1e-3
     assert found.chi2 == pytest.approx(float(residual @ residual), rel=1e-5)
     at = plain.unknowns.target_columns
-    np.testing.assert_allclose(found.target_covariance, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15)
+    np.testing.assert_allclose(found.target_covariances, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15)
 
 
 def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def test_a_ring_of_210_set_ups_with_all_statistics():
     recording = network("ring", 210, 370, 3340)
     assert (len(recording), len(recording.targets)) == (3340, 370)
     found = adjust(recording)
-    sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+    sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
     poses, redundancy = found.pose_covariance, found.redundancy
     assert found.solution.has_converged
     assert not found.is_gross_pointing.any()
@@ -39,7 +39,7 @@ def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", 10**9)
     dense = adjust(recording)
     np.testing.assert_allclose(sparse.state.target_points, dense.state.target_points, atol=1e-9)
-    np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)
+    np.testing.assert_allclose(sparse.target_covariances, dense.target_covariances, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.pose_covariance, dense.pose_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.redundancy, dense.redundancy, atol=1e-7)
     sigma = found_sigma(dense)
@@ -48,7 +48,7 @@ def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
 
 def found_sigma(adjustment):
     """Largest standard deviation of each target."""
-    return np.sqrt(np.linalg.eigvalsh(adjustment.target_covariance)[:, -1])
+    return np.sqrt(np.linalg.eigvalsh(adjustment.target_covariances)[:, -1])
 
 
 def tunnel(stations, each=50):
@@ -90,7 +90,7 @@ def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
     assert found.solution.has_converged
     assert not found.is_gross_pointing.any()
     assert 0.001 < found.p_value < 0.999
-    assert np.isfinite(found.target_covariance).all()
+    assert np.isfinite(found.target_covariances).all()
     assert most < 200e6
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_normalised_residual, noncentrality, p_value_of_tau
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
@@ -100,9 +100,7 @@ def test_an_error_of_the_detectable_size_is_found_with_its_power():
         j = k % 3
         expected = clean.normalised_residuals[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
         if k < 6:
-            again = adjust_from_state(
-                spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start_state=clean.state
-            )
+            again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start_state=clean.state)
             assert again.normalised_residuals[i, j] == pytest.approx(expected, abs=0.05)
         found += expected > limit
     assert found / len(rows) == pytest.approx(0.8, abs=0.13)

@@ -144,10 +144,10 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     for trial in range(40):
         recording = make(drawn(misalignment_construction(), 7, trial), trial=trial)
         found = calibrate_distance(recording, advise=False)
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
         scores.append((found.target_points - true) / sigma)
         chances.append(found.fit.p_value)
-        best = calibrate_network(recording, recommend_measurements=False, choose_correction=False).target_covariance
+        best = calibrate_network(recording, recommend_measurements=False, choose_correction=False).target_covariances
         wider.append(np.all(sigma**2 > 0.99 * np.einsum("tii->ti", best)))
     # Coordinates of one cloud err together: about 20 independent numbers a trial.
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.15)

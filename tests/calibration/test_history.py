@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
+from ltsim.adjustment.fieldcheck.setup_model import two_face_pairs
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries

@@ -87,7 +87,7 @@ def test_null_space_of_the_paper_chain_is_named(make) -> None:
 def test_both_constructions_agree_on_the_targets_of_two_faces(make, drawn) -> None:
     recording = make(drawn(misalignment_construction(), 1, 4), faces=(1, 2))
     first, second = calibrate_network(recording), calibrate_network(recording, dh_construction())
-    sigma = np.sqrt(np.einsum("tii->ti", first.target_covariance))
+    sigma = np.sqrt(np.einsum("tii->ti", first.target_covariances))
     assert np.abs((first.target_points - second.target_points) / sigma).max() < 0.2
 
 
@@ -131,12 +131,12 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     free = (scaled[:, at] - basis @ (basis.T @ scaled[:, at])) * scale[at]
     dense = np.linalg.pinv(free.T @ free, rcond=1e-10, hermitian=True)
     inner = joint_covariance(adjustment)
-    blocks = adjustment.with_inner_datum().target_covariance
+    blocks = adjustment.with_inner_datum().target_covariances
     assert np.allclose(
         blocks, [inner[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(28)], atol=1e-12 * inner.max()
     )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
-    assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
+    assert np.trace(inner) < np.trace(adjustment.target_covariances.sum(axis=0))
     motion = rigid_motion_jacobian(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
     assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
 

@@ -77,8 +77,8 @@ def test_another_air_is_that_of_the_set_up(hall: Path) -> None:
     usual, exact = (lt.calibrate(r, advise=False) for r in (recording, recording.replace(setup=setup)))
     assert usual.air_text
     assert not exact.air_text
-    assert np.all(usual.target_covariance[:, 0, 0] > exact.target_covariance[:, 0, 0])
-    np.testing.assert_allclose(exact.target_covariance, exact.adjustment.target_covariance, rtol=1e-12)
+    assert np.all(usual.target_covariances[:, 0, 0] > exact.target_covariances[:, 0, 0])
+    np.testing.assert_allclose(exact.target_covariances, exact.adjustment.target_covariances, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     assert found.uncertainty_factor == pytest.approx(found.fit.sigma0)
     assert found.uncertainty_factor > 1.1
     adjustment = found.adjustment
-    np.testing.assert_allclose(found.target_covariance, found.fit.sigma0**2 * adjustment.target_covariance, rtol=1e-9)
+    np.testing.assert_allclose(found.target_covariances, found.fit.sigma0**2 * adjustment.target_covariances, rtol=1e-9)
     np.testing.assert_allclose(
         found.stations[1].sigma_position, found.fit.sigma0 * np.sqrt(np.diag(adjustment.pose_covariance[1])[:3])
     )
@@ -107,7 +107,7 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     lt.write(found, tmp_path)
     joint = read_coordinates(tmp_path / "targets.csv").covariance
     assert (tmp_path / COVARIANCE_FILE_NAME).is_file()
-    np.testing.assert_allclose(joint[:3, :3], found.target_covariance[0], rtol=1e-5)
+    np.testing.assert_allclose(joint[:3, :3], found.target_covariances[0], rtol=1e-5)
     assert "multiplied by sigma0" in str(found)
     assert lt.read(tmp_path).fit.sigma0 == pytest.approx(found.fit.sigma0)
 

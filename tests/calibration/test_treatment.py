@@ -150,11 +150,11 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     s = np.eye(unknowns.n_columns) - motion @ np.linalg.solve(held.T @ motion, held.T)
     wanted = s @ whole @ s.T
     blocks = wanted[unknowns.target_columns[:, :, None], unknowns.target_columns[:, None, :]]
-    np.testing.assert_allclose(found.target_covariance, blocks, rtol=1e-4, atol=1e-16)
+    np.testing.assert_allclose(found.target_covariances, blocks, rtol=1e-4, atol=1e-16)
     sums = wanted[unknowns.target_columns[chosen].ravel()].reshape(len(chosen), 3, -1).sum(axis=0)
     assert np.abs(sums).max() < 1e-6 * np.abs(wanted).max()
-    own = np.einsum("tii->t", found.target_covariance)[chosen].sum()
-    assert own < 0.9 * np.einsum("tii->t", plain.target_covariance)[chosen].sum()
+    own = np.einsum("tii->t", found.target_covariances)[chosen].sum()
+    assert own < 0.9 * np.einsum("tii->t", plain.target_covariances)[chosen].sum()
     assert found.frame == "the frame of station S1, standard deviations by inner constraints over T03, T09, T14, T22"
     np.testing.assert_allclose(found.target_points, plain.state.target_points, atol=1e-12)
 

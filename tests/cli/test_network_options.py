@@ -65,7 +65,7 @@ def test_a_datum_is_chosen_by_names(verb: str, source: Path, tmp_path: Path) -> 
         trace[folder] = sum(sigmas)
     assert trace["free"] < 0.7 * trace["first"]
     if verb == "adjust":
-        wanted = adjust(read(source), datum_names=names).target_covariance
+        wanted = adjust(read(source), datum_names=names).target_covariances
         chosen = [read(source).targets.index(name) for name in names]
         assert trace["free"] == pytest.approx(1e6 * np.einsum("tii->", wanted[chosen]), rel=1e-2)
 

@@ -60,7 +60,7 @@ def folder_outputs() -> set[tuple[str, str]]:
         (verb, name)
         for verb in COMMANDS
         for name, _, output in _output_option_checks(
-            [*signature(typer_command(verb, command_function(verb))).parameters.values()]
+            [*signature(typer_command(command_function(verb))).parameters.values()]
         )
         if output not in (COMPARED_FILE_OUTPUT, NEW_FILE_OUTPUT)
     }

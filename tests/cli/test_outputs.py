@@ -24,7 +24,7 @@ INPUTS = {
 def command(verb: str) -> Any:
     """The verb as the parser knows it."""
     made = typer.Typer(add_completion=False)
-    made.command(verb)(typer_command(verb, command_function(verb)))
+    made.command(verb)(typer_command(command_function(verb)))
     return typer.main.get_command(made)
 
 
@@ -33,14 +33,14 @@ def outputs_of(verb: str) -> dict[str, str]:
     return {
         name: flag
         for name, flag, _ in _output_option_checks(
-            [*signature(typer_command(verb, command_function(verb))).parameters.values()]
+            [*signature(typer_command(command_function(verb))).parameters.values()]
         )
     }
 
 
 def inputs_of(verb: str) -> list[str]:
     """Names of the options and arguments of a verb that are paths and not marked as outputs."""
-    parameters = signature(typer_command(verb, command_function(verb))).parameters
+    parameters = signature(typer_command(command_function(verb))).parameters
     paths = {p.name for p in command(verb).params if re.search("FILE|DIR|REC|IN$|OUT$|SCENARIO", p.metavar or "")}
     paths |= {name for name, parameter in parameters.items() if "Path" in str(parameter.annotation)}
     return sorted(paths - outputs_of(verb).keys())

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
@@ -31,7 +31,7 @@ def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording,
 
 def strengthened(recording, state, change):
     """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
-    space = ResidualSpace.from_adjustment(adjust_from_state(recording, misalignment_construction(), start_state=state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=state))
     left = space.project(space.whiten(change[:, :, None]))[:, 0]
     factor = np.sqrt(NONCENTRALITY / float(left @ left))
     return recording.with_readings(recording.readings + factor * change), factor

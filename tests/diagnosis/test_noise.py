@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from ltsim.adjustment import adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
@@ -29,9 +29,7 @@ from tests.networks import network
 def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
-    space = ResidualSpace.from_adjustment(
-        adjust_from_state(recording, misalignment_construction(), start_state=truth.state)
-    )
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
@@ -235,17 +233,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
-    space = ResidualSpace.from_adjustment(
-        adjust_from_state(recording, misalignment_construction(), start_state=truth.state)
-    )
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     assert normalised_sum_matrix_of_repeats(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
-    space = ResidualSpace.from_adjustment(
-        adjust_from_state(recording, misalignment_construction(), start_state=truth.state)
-    )
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
@@ -276,7 +270,7 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
     recording, truth = network(faces=2, seed=3)
     drawn = factor * recording.reading_sigmas() * random_stream(1, "noise").standard_normal(recording.readings.shape)
     noisy = recording.replace(readings=recording.readings + drawn)
-    adjusted = adjust_from_state(noisy, misalignment_construction(), start_state=truth.state)
+    adjusted = adjust(noisy, misalignment_construction(), start_state=truth.state)
     state = SelectionState.from_adjustment(adjusted, adjusted.problem.is_used_reading, 0, None)
     level = next(h for _, h in state.ranked_noise_hypotheses(state.empty_model) if h.effect.name == "noise-level")
     found = with_estimated_sizes(state.residual_space, noisy.reading_sigmas(), level)

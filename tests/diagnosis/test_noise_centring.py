@@ -74,7 +74,7 @@ def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
     assert finding.sentence.startswith("Centring errors: reflectors that are centred anew at each occupation")
     assert finding.parameters[0].value == pytest.approx(0.15, rel=0.25)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
-    assert np.isfinite(diagnosis.final_adjustment.target_covariance).all()
+    assert np.isfinite(diagnosis.final_adjustment.target_covariances).all()
 
 
 def repeated(seed: int, sigma: float) -> Recording:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust, adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.diagnosis.cross_validation import cross_validated_errors, random_fold_row_indices
 from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis
@@ -59,9 +59,7 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
-        rest = adjust_from_state(
-            recording, misalignment_construction(), reading_mask=use, start_state=space.adjustment.state
-        )
+        rest = adjust(recording, misalignment_construction(), reading_mask=use, start_state=space.adjustment.state)
         system = rest.problem.__class__.from_model(rest.problem.model).linearise(rest.state)
         held = np.flatnonzero(np.repeat(out, 3))
         design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.whitened_residuals[held]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import matrix_from_rotation_vector
@@ -34,7 +34,7 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust_from_state(clean, misalignment_construction(), start_state=truth.state)
+    found = adjust(clean, misalignment_construction(), start_state=truth.state)
     points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
     moved = type(truth.state)(

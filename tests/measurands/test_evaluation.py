@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment import Adjustment, adjust, adjust_from_state
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError, ModelError
 from ltsim.core.randomness import random_stream
@@ -79,7 +79,7 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     }
     own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
-        block = inputs.network_or_coordinates.target_covariance[
+        block = inputs.network_or_coordinates.target_covariances[
             inputs.network_or_coordinates.recording.targets.index(name)
         ]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
@@ -97,7 +97,7 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
     assert type_b_names == names | {PRIOR_SOURCE_NAME, REFERENCE_LENGTHS_SOURCE_NAME}
     for i, name in enumerate(inputs.target_names):
-        block = inputs.network_or_coordinates.target_covariance[
+        block = inputs.network_or_coordinates.target_covariances[
             inputs.network_or_coordinates.recording.targets.index(name)
         ]
         own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
@@ -110,7 +110,7 @@ def test_a_datum_of_targets_reaches_the_points() -> None:
     recording, _ = network(seed=3)
     names = ("T01", "T05", "T12", "T20")
     found = TaskInputs.from_recording(recording, tasks(datum=names, type_b=[]))
-    expected = adjust(recording, misalignment_construction(), datum_names=names).target_covariance
+    expected = adjust(recording, misalignment_construction(), datum_names=names).target_covariances
     for i, name in enumerate(found.target_names):
         block = found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(block, expected[recording.targets.index(name)], atol=1e-4 * block.max())
@@ -163,7 +163,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust_from_state(
+            points = adjust(
                 again, misalignment_construction(), start_state=inputs.network_or_coordinates.state
             ).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]

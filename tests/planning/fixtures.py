@@ -1,4 +1,4 @@
-"""A workshop of the size of the paper's: two walls, three levels, a gauge near the corner."""
+"""A workshop of the size of the paper's, with two walls, three levels and a gauge near the corner; a small hall."""
 
 from __future__ import annotations
 
@@ -40,3 +40,39 @@ def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object
         faces=faces,
     )
     return made.replace(**changes)
+
+
+SMALL_HALL_POINTS = {
+    "A": (500, 300, 500),
+    "B": (5500, 300, 2000),
+    "C": (5500, 3700, 800),
+    "D": (500, 3700, 2500),
+    "E": (3000, 3900, 1500),
+}
+
+
+def small_hall_plan(
+    *, obstacle: tuple[str, str], height_mm: str, tolerance_mm: float, floor: str = "", points: str = ""
+) -> str:
+    """Plan file of a hall of 6 m by 4 m with one obstacle (name, box) and two stations; `points` names a table."""
+    name, box_mm = obstacle
+    return f"""format = "ltsim-plan/1"
+{points}[workshop]
+size_mm = [6000, 4000, 3000]
+[[workshop.obstacles]]
+name = "{name}"
+box_mm = {box_mm}
+position_mm = [4500, 2800, 0]
+[instrument]
+preset = "modern"
+[floor]
+height_mm = {height_mm}
+{floor}[stations]
+count = 2
+min_stations_per_target = 1
+[search]
+starts = 1
+grid_step_mm = 1500
+[[goal.tolerances]]
+tolerance_mm = {tolerance_mm}
+"""

@@ -11,36 +11,11 @@ from ltsim.cli.main import run
 from ltsim.core.errors import InputError, NetworkError
 from ltsim.planning.loading import load_plan
 from ltsim.planning.result import write_plan
+from tests.planning.fixtures import SMALL_HALL_POINTS, small_hall_plan
 from tests.planning.test_hall import HALL, points_csv
 
-PLAN = """format = "ltsim-plan/1"
-[workshop]
-size_mm = [6000, 4000, 3000]
-[[workshop.obstacles]]
-name = "press"
-box_mm = [800, 800, 2200]
-position_mm = [4500, 2800, 0]
-[instrument]
-preset = "modern"
-[floor]
-height_mm = [1500, 1500]
-[stations]
-count = 2
-min_stations_per_target = 1
-[search]
-starts = 1
-grid_step_mm = 1500
-[[goal.tolerances]]
-tolerance_mm = 0.03
-"""
-POINTS = (
-    (500, 300, 500),
-    (5500, 300, 2000),
-    (5500, 3700, 800),
-    (500, 3700, 2500),
-    (3000, 3900, 1500),
-    (5800, 2000, 1200),
-)
+PLAN = small_hall_plan(obstacle=("press", "[800, 800, 2200]"), height_mm="[1500, 1500]", tolerance_mm=0.03)
+POINTS = (*SMALL_HALL_POINTS.values(), (5800, 2000, 1200))
 INSIDE_PRESS = (4500, 2800, 1000)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust_from_state
+from ltsim.adjustment import adjust
 from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.air import (
     air_point_sigma_across_beam,
@@ -29,7 +29,7 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
     information = ExpectedPrecision.from_survey(made, built)
-    added = information.target_covariance - ExpectedPrecision.from_survey(without, built).target_covariance
+    added = information.target_covariances - ExpectedPrecision.from_survey(without, built).target_covariances
     recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
     errors = reading_changes_per_air_sigma(air, sightings)
     moved = []
@@ -37,8 +37,7 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)
         read = recording.with_readings(recording.readings + change)
         shift = (
-            adjust_from_state(read, built, start_state=made.nominal_state(built)).state.target_points
-            - made.target_points
+            adjust(read, built, start_state=made.nominal_state(built)).state.target_points - made.target_points
         ).ravel()
         motion = rigid_motion_jacobian(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))

@@ -46,7 +46,7 @@ def changed(survey: PlannedSurvey, change: ReflectorChangeEntry) -> PlannedSurve
 def point_error(survey: PlannedSurvey, names: list[str]) -> float:
     """Point error [m] of some targets, root mean square, inner constraints over them."""
     found = ExpectedPrecision.from_survey(survey).adjustment.with_inner_datum(names)
-    trace = np.einsum("tii->t", found.target_covariance)
+    trace = np.einsum("tii->t", found.target_covariances)
     return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
 
 

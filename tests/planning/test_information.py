@@ -39,7 +39,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
     sigma = np.sqrt(np.diag(solved.first_instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)
-    trace = np.einsum("tii->t", solved.with_inner_datum().target_covariance)
+    trace = np.einsum("tii->t", solved.with_inner_datum().target_covariances)
     assert information.target_point_errors == pytest.approx(np.sqrt(trace), rel=1e-3)
 
 

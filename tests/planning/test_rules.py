@@ -26,37 +26,16 @@ from ltsim.planning.tolerances import (
     text_distinct_from_limit,
     tolerance_ratio_text,
 )
+from tests.planning.fixtures import SMALL_HALL_POINTS, small_hall_plan
 
-PLAN = """format = "ltsim-plan/1"
-points = "points.csv"
-[workshop]
-size_mm = [6000, 4000, 3000]
-[[workshop.obstacles]]
-name = "crate"
-box_mm = [600, 600, 2500]
-position_mm = [4500, 2800, 0]
-[instrument]
-preset = "modern"
-[floor]
-height_mm = [1400, 1800]
-[[floor.keep_outs]]
-corners_mm = [[3900, 700], [4300, 700], [4300, 1100], [3900, 1100]]
-[stations]
-count = 2
-min_stations_per_target = 1
-[search]
-starts = 1
-grid_step_mm = 1500
-[[goal.tolerances]]
-tolerance_mm = 0.5
-"""
-POINTS = """name,x_mm,y_mm,z_mm
-A,500,300,500
-B,5500,300,2000
-C,5500,3700,800
-D,500,3700,2500
-E,3000,3900,1500
-"""
+PLAN = small_hall_plan(
+    points='points = "points.csv"\n',
+    obstacle=("crate", "[600, 600, 2500]"),
+    height_mm="[1400, 1800]",
+    floor="[[floor.keep_outs]]\ncorners_mm = [[3900, 700], [4300, 700], [4300, 1100], [3900, 1100]]\n",
+    tolerance_mm=0.5,
+)
+POINTS = "name,x_mm,y_mm,z_mm\n" + "".join(f"{n},{x},{y},{z}\n" for n, (x, y, z) in SMALL_HALL_POINTS.items())
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
+from ltsim.adjustment.fieldcheck.setup_model import two_face_pairs
 from ltsim.calibration.correct import correct
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network

@@ -31,7 +31,7 @@ from ltsim.recordings.coordinates import read_coordinates, read_points
 from ltsim.recordings.files import read_lines, with_unix_line_ends
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import _TOML_TOKEN_PATTERN, check_toml_limits, read_setup, read_toml
-from ltsim.recordings.tables.sheets import read_small_table
+from ltsim.recordings.spreadsheets.sheets import read_small_table
 from ltsim.recordings.xml import parse_xml
 from tests.cli.slips import PLAN
 from tests.recordings.samples import workshop

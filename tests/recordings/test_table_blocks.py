@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings import Hints, Recording, read
-from ltsim.recordings.tables.title_words import FOREIGN_TITLES_BY_LANGUAGE, TITLES_BY_ROLE
+from ltsim.recordings.spreadsheets.title_words import FOREIGN_TITLES_BY_LANGUAGE, TITLES_BY_ROLE
 
 HEADER = "Point;Hz [gon];V [gon];SD [m];TH"
 ROWS = ["P1;10.1234;98.5;12.3456;1.5", "P2;120.1234;99.5;13.3456;1.6", "P3;220.1234;101.5;10.3456;1.7"]

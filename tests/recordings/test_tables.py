@@ -13,8 +13,8 @@ import ltsim as lt
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings import Hints, Recording, read, write
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import title_role
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import title_role
 from tests.families import family
 from tests.recordings.samples import outcome, workshop
 

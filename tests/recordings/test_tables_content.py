@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings import Hints, read
-from ltsim.recordings.tables import cells
+from ltsim.recordings.spreadsheets import cells
 
 POLAR = "Station;Point;Face;Hz [gon];V [gon];D [m]"
 ROWS = [

@@ -250,10 +250,10 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         errors.append(
             np.concatenate([found.estimates[0] - true, (found.target_points - points).ravel(), (stood - place).ravel()])
         )
-        spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        spread = np.sqrt(np.einsum("tii->ti", found.target_covariances))
         poses = np.array([s.sigma_position for s in found.stations[1:]])
         sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
-        predicted = np.einsum("tii->", found.adjustment.with_inner_datum().target_covariance) / len(points)
+        predicted = np.einsum("tii->", found.adjustment.with_inner_datum().target_covariances) / len(points)
         inner.append(target_error(found.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 

@@ -24,7 +24,7 @@ FLAGS = (
 
 
 @dataclass(frozen=True)
-class StationOccupation:
+class SetupModel:
     """What the browser saw: console lines, addresses asked for, the picture (h, w, 3)."""
 
     console: list[str]
@@ -41,7 +41,7 @@ def find_browser() -> str:
     pytest.skip("there is no headless browser (Debian: apt-get install chromium): pages are not looked at")
 
 
-def visit(page: Path, folder: Path, *, width: int = 1000, height: int = 1600) -> StationOccupation:
+def visit(page: Path, folder: Path, *, width: int = 1000, height: int = 1600) -> SetupModel:
     """Open a page offline and look at it."""
     shot, log = folder / f"{page.stem}-{width}.png", folder / f"{page.stem}-{width}.json"
     command = [
@@ -51,7 +51,7 @@ def visit(page: Path, folder: Path, *, width: int = 1000, height: int = 1600) ->
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert shot.exists(), done.stderr[-2000:]
     console = [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
-    return StationOccupation(console, _asked(log), np.asarray(image.imread(shot))[:, :, :3])
+    return SetupModel(console, _asked(log), np.asarray(image.imread(shot))[:, :, :3])
 
 
 def _asked(log: Path) -> list[str]:

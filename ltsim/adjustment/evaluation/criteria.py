@@ -83,7 +83,7 @@ class DisagreementEntry(Entry):
         return cls(mean_um=differences.mean / MICROMETRE, max_um=differences.maximum / MICROMETRE)
 
 
-class CriterionEntry(Entry):
+class DisagreementChange(Entry):
     """Disagreement of the stations in one quantity (distances between targets, or coordinates of targets)."""
 
     before: DisagreementEntry = DisagreementEntry()
@@ -119,11 +119,11 @@ class CriterionEntry(Entry):
 class CriteriaEntry(Entry):
     """Disagreement of the stations in distances and coordinates of targets, before and after calibration."""
 
-    distance: CriterionEntry
+    distance: DisagreementChange
     """Disagreement of the stations in distances between targets, as deviations from the mean over the stations."""
-    coordinate: CriterionEntry
+    coordinate: DisagreementChange
     """Disagreement of the stations in coordinates, after a rigid fit to one frame (Sensors 2021, 21, 7479, eq. 12)."""
-    distance_to_first: CriterionEntry | None = None
+    distance_to_first: DisagreementChange | None = None
     """Disagreement of the other stations with station 1 in distances between targets (Sensors 2021, 21, 7479, eq. 11);
     null in a verification."""
 
@@ -246,14 +246,14 @@ def evaluate_criteria(
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations, but this recording has only one; measure from a second one")
 
-    def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> CriterionEntry:
+    def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> DisagreementChange:
         def disagreement_of(clouds: Floats) -> StationDisagreement:
             return criterion_function(align_to_first_station(clouds, recording.stations) if is_aligned else clouds)
 
         raw_disagreement = disagreement_of(raw_clouds)
         if not len(raw_disagreement.disagreements):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
-        return CriterionEntry.from_differences(
+        return DisagreementChange.from_differences(
             raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
         )
 
@@ -269,7 +269,7 @@ def _subtract_reading_changes(recording: Recording, reading_changes: Floats | No
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
-def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
+def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, DisagreementChange]:
     """Entry `distance_to_first` of `CriteriaEntry` as a dictionary; empty if no distance of station 1 is comparable.
 
     `uncalibrated` and `calibrated` (S, T, 3) [m] are the points of T targets from S stations.
@@ -278,7 +278,7 @@ def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None
     if not len(differences.disagreements):
         return {}
     corrected = None if calibrated is None else distance_disagreement_with_first_station(calibrated)
-    return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
+    return {"distance_to_first": DisagreementChange.from_differences(differences, corrected)}
 
 
 NOMINAL_TABLE = Table(
@@ -351,12 +351,13 @@ def verify_against_nominal(
     distance, coordinate = disagreements_of_points(measured_points(recording))
     if construction is None or parameter_values is None:
         return CriteriaEntry(
-            distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
+            distance=DisagreementChange.from_differences(distance),
+            coordinate=DisagreementChange.from_differences(coordinate),
         )
     after = disagreements_of_points(
         measured_points(_subtract_reading_changes(recording, reading_changes), construction, parameter_values)
     )
     return CriteriaEntry(
-        distance=CriterionEntry.from_differences(distance, after[0]),
-        coordinate=CriterionEntry.from_differences(coordinate, after[1]),
+        distance=DisagreementChange.from_differences(distance, after[0]),
+        coordinate=DisagreementChange.from_differences(coordinate, after[1]),
     )

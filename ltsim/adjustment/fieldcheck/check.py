@@ -20,7 +20,6 @@ from ltsim.adjustment.fieldcheck.network import (
     network_check_items,
     with_increased_noise_at_noisy_targets,
 )
-from ltsim.adjustment.fieldcheck.occupation import AddedColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.fieldcheck.result import (
     TWO_FACE_TABLE,
     BonferroniFamily,
@@ -39,6 +38,7 @@ from ltsim.adjustment.fieldcheck.sentences import (
     two_face_sentence,
     zero_drift_sentence,
 )
+from ltsim.adjustment.fieldcheck.setup_model import AddedColumnsFit, SetupModel, TwoFaceDifferences
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_SINGLE_ERROR_FRACTION
@@ -181,10 +181,10 @@ def _test_setup(
         declared_construction(recording),
         estimated_noise_text(recording, recording_with_declared_noise.select(indices)),
     )
-    occupation = StationOccupation.from_recording(recording, construction)
-    setup_tests = GrossAndMotionTests((), occupation, (), recording)
-    if occupation.dof > 0:
-        setup_tests = _gross_and_motion_tests(occupation, construction, test_family, row_numbers)
+    setup_model = SetupModel.from_recording(recording, construction)
+    setup_tests = GrossAndMotionTests((), setup_model, (), recording)
+    if setup_model.dof > 0:
+        setup_tests = _gross_and_motion_tests(setup_model, construction, test_family, row_numbers)
     two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected_recording.readings
     corrected = np.where(np.isnan(corrected), two_faced.readings, corrected)
     items, faces = (
@@ -199,20 +199,20 @@ def _test_setup(
         sentence, targets, worst = two_face_sentence(faces, recording, limit)
         pair = tuple(row_numbers[worst].tolist())
         items.append(CheckItem.from_test(name, "two-face", not targets, sentence, targets=targets, rows=pair))
-    if occupation.dof < 1:
+    if setup_model.dof < 1:
         return SetupCheck(name, tuple(items), faces, None, row_numbers)
-    remaining = setup_tests.corrected_occupation
+    remaining = setup_tests.corrected_setup_model
     scale = noise_factors_by_target_scatter(remaining, test_family)
     if scale is None:
         items += [*setup_tests.items, repeatability_item(remaining, test_family, noise_text)]
     else:
         setup_tests = _gross_and_motion_tests(
-            StationOccupation.from_recording(recording, construction, sigma=occupation.reading_sigmas * scale),
+            SetupModel.from_recording(recording, construction, sigma=setup_model.reading_sigmas * scale),
             construction,
             test_family,
             row_numbers,
         )
-        items += [target_scatter_item(occupation, remaining, test_family, noise_text), *setup_tests.items]
+        items += [target_scatter_item(setup_model, remaining, test_family, noise_text), *setup_tests.items]
     return SetupCheck(name, tuple(items), faces, remaining, row_numbers, setup_tests.motions)
 
 
@@ -222,7 +222,7 @@ class GrossAndMotionTests:
 
     items: tuple[CheckItem, ...]
     """Test results, one per test."""
-    corrected_occupation: StationOccupation
+    corrected_setup_model: SetupModel
     """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
     """Detected motions of the station (bump, drift)."""
@@ -231,22 +231,22 @@ class GrossAndMotionTests:
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily, row_numbers: Ints
+    setup_model: SetupModel, construction: GeometricErrorModel, test_family: BonferroniFamily, row_numbers: Ints
 ) -> GrossAndMotionTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
     `row_numbers` (n,) are the rows of the n pointings of the set-up in the whole recording, from 1.
     """
-    gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, test_family)
+    gross, bump, setup_model = _gross_pointings_and_bump(setup_model, construction, test_family)
     check_items = [
-        _gross_item(occupation, gross, row_numbers, test_family),
-        _bump_item(occupation, bump, row_numbers, test_family),
+        _gross_item(setup_model, gross, row_numbers, test_family),
+        _bump_item(setup_model, bump, row_numbers, test_family),
     ]
-    recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
+    recording, uniform_motion = setup_model.recording, UniformMotion((setup_model.recording.stations[0],))
     motions: list[StationMotionEffect] = [] if bump is None else [bump]
-    designs = [motion.design(occupation.sightings) for motion in motions]
-    remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
-    drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
+    designs = [motion.design(setup_model.sightings) for motion in motions]
+    remaining = reduce(SetupModel.with_fitted_columns, designs, setup_model)
+    drift_design, zeros = uniform_motion.design(setup_model.sightings), _zero_drift_design(setup_model)
     check_items.append(_drift_item(remaining, test_family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
@@ -256,41 +256,39 @@ def _gross_and_motion_tests(
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
     if designs:
         together = np.concatenate(designs, axis=2)
-        recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
+        recording = recording.with_readings(recording.readings - together @ setup_model.fit_columns(together).estimates)
     return GrossAndMotionTests(tuple(check_items), remaining, tuple(motions), recording)
 
 
 def _gross_pointings_and_bump(
-    occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily
-) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
+    setup_model: SetupModel, construction: GeometricErrorModel, test_family: BonferroniFamily
+) -> tuple[dict[int, float], StationBump | None, SetupModel]:
     """p-values of gross pointings by index, bump (None if not significant), and set-up model without gross pointings.
 
     Gross pointings are removed one by one, until a bump (sudden motion of the station) explains the readings better
     than the next gross error does.
     """
     gross: dict[int, float] = {}
-    most = max(1, MAX_SINGLE_ERROR_FRACTION * len(occupation.row_mask))
+    most = max(1, MAX_SINGLE_ERROR_FRACTION * len(setup_model.row_mask))
     while True:
-        drop, rank = occupation.removal_chi2_drops_and_dof()
-        alone = neg_log_p_chi2(drop, rank) - np.log(len(occupation.row_mask))
+        drop, rank = setup_model.removal_chi2_drops_and_dof()
+        alone = neg_log_p_chi2(drop, rank) - np.log(len(setup_model.row_mask))
         worst = int(np.argmax(alone))
-        bump, explained, gaps = best_fitting_bump(occupation)
-        creep = _neg_log_p(occupation.fit_columns(UniformMotion().design(occupation.sightings)))
+        bump, explained, gaps = best_fitting_bump(setup_model)
+        creep = _neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
         steady = creep >= _neg_log_p(explained) - np.log(gaps)
-        bump = None if steady or occupation.p_value(explained) * gaps >= test_family.alpha_per_test else bump
+        bump = None if steady or setup_model.p_value(explained) * gaps >= test_family.alpha_per_test else bump
         enough = (
             alone[worst] <= max(-np.log(test_family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
         )
         if enough or (bump is not None and alone[worst] <= _neg_log_p(explained) - np.log(gaps)):
-            return gross, bump, occupation
+            return gross, bump, setup_model
         gross[worst] = float(np.exp(-alone[worst]))
-        use: Bools = occupation.row_mask & np.asarray(np.arange(len(occupation.row_mask)) != worst)
-        occupation = StationOccupation.from_recording(
-            occupation.recording, construction, use, occupation.reading_sigmas
-        )
+        use: Bools = setup_model.row_mask & np.asarray(np.arange(len(setup_model.row_mask)) != worst)
+        setup_model = SetupModel.from_recording(setup_model.recording, construction, use, setup_model.reading_sigmas)
 
 
-def best_fitting_bump(occupation: StationOccupation) -> tuple[StationBump | None, AddedColumnsFit, int]:
+def best_fitting_bump(setup_model: SetupModel) -> tuple[StationBump | None, AddedColumnsFit, int]:
     """Bump (sudden motion of the station) that explains the readings best, its fit, and the number of tested time gaps.
 
     A bump is possible in each time gap between pointings with at least three targets measured before and after it. The
@@ -298,24 +296,24 @@ def best_fitting_bump(occupation: StationOccupation) -> tuple[StationBump | None
     """
     candidates = [
         bump
-        for bump in StationBump.candidates(occupation.sightings)
-        if _n_targets_across_bump(occupation, bump) >= MIN_POINTS_FOR_POSE
+        for bump in StationBump.candidates(setup_model.sightings)
+        if _n_targets_across_bump(setup_model, bump) >= MIN_POINTS_FOR_POSE
     ]
     if not candidates:
         return None, AddedColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
-    explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in candidates}
-    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
-        if _n_targets_across_bump(occupation, bump) >= MIN_POINTS_FOR_POSE:
-            explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
+    explained_by = {bump: setup_model.fit_columns(bump.design(setup_model.sightings)) for bump in candidates}
+    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(setup_model.sightings):
+        if _n_targets_across_bump(setup_model, bump) >= MIN_POINTS_FOR_POSE:
+            explained_by[bump] = setup_model.fit_columns(bump.design(setup_model.sightings))
     best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
-    return best_candidate, explained_by[best_candidate], len(np.unique(occupation.sightings.time)) - 1
+    return best_candidate, explained_by[best_candidate], len(np.unique(setup_model.sightings.time)) - 1
 
 
-def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:
+def _n_targets_across_bump(setup_model: SetupModel, bump: StationBump) -> int:
     """Number of targets measured both before and after a bump (sudden motion of the station)."""
-    is_after = occupation.sightings.time >= bump.time
-    target = occupation.recording.target
-    return len(np.intersect1d(target[occupation.row_mask & is_after], target[occupation.row_mask & ~is_after]))
+    is_after = setup_model.sightings.time >= bump.time
+    target = setup_model.recording.target
+    return len(np.intersect1d(target[setup_model.row_mask & is_after], target[setup_model.row_mask & ~is_after]))
 
 
 def _neg_log_p(fit: AddedColumnsFit) -> float:
@@ -324,16 +322,16 @@ def _neg_log_p(fit: AddedColumnsFit) -> float:
 
 
 def _gross_item(
-    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: BonferroniFamily
+    setup_model: SetupModel, p_values: Mapping[int, float], row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
     """Test result for gross errors of a set-up, from the p-values of its rejected pointings by index.
 
     `row_numbers` (n,) are the row numbers of the n pointings of the set-up in the whole recording, from 1.
     """
-    recording, name = occupation.recording, occupation.recording.stations[0]
+    recording, name = setup_model.recording, setup_model.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
     sentence, numbers = (
-        gross_pointing_sentence(occupation, list(p_values), row_numbers),
+        gross_pointing_sentence(setup_model, list(p_values), row_numbers),
         tuple(row_numbers[list(p_values)].tolist()),
     )
     chance = test_family.corrected_p_value(max(p_values.values())) if p_values else None
@@ -341,22 +339,22 @@ def _gross_item(
 
 
 def _bump_item(
-    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: BonferroniFamily
+    setup_model: SetupModel, bump: StationBump | None, row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
     """Test result for a sudden motion (bump) of a station; passed if `bump` is None.
 
     `row_numbers` (n,) are the row numbers of the n pointings of the set-up in the whole recording, from 1.
     """
-    recording, name = occupation.recording, occupation.recording.stations[0]
+    recording, name = setup_model.recording, setup_model.recording.stations[0]
     if bump is None:
         return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion of the station detected")
-    fit = occupation.fit_columns(bump.design(occupation.sightings))
+    fit = setup_model.fit_columns(bump.design(setup_model.sightings))
     order = np.argsort(recording.time, kind="stable")
     index = int(np.searchsorted(recording.time[order], bump.time))
     pair = order[index - 1 : index + 1]
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     rows_around_motion = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
-    chance = test_family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
+    chance = test_family.corrected_p_value(setup_model.p_value(fit), len(order) - 1)
     motion_interval_text = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
     sentence = bump_sentence(recording, motion_interval_text, fit)
     return CheckItem.from_test(
@@ -364,20 +362,20 @@ def _bump_item(
     )
 
 
-def _zero_drift_design(occupation: StationOccupation) -> Floats:
+def _zero_drift_design(setup_model: SetupModel) -> Floats:
     """Changes (n, 3, 2) of the readings of n pointings per unit of two drift rates of the instrument.
 
     These are the rates of the range zero [m/s] and of the vertical index [rad/s].
     """
     laws, sightings = (
         [RangeDrift(law="visit"), IndexDrift(law="visit")],
-        with_mean_times_of_consecutive_pointings(occupation.sightings),
+        with_mean_times_of_consecutive_pointings(setup_model.sightings),
     )
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
 
 def _drift_item(
-    occupation: StationOccupation,
+    setup_model: SetupModel,
     test_family: BonferroniFamily,
     kind: CheckItemKind,
     design: Floats,
@@ -387,9 +385,13 @@ def _drift_item(
 
     `design` (n, 3, k) are the changes of the readings of n pointings per unit of the k parameters of the drift.
     """
-    fit = occupation.fit_columns(design)
-    p_value = test_family.corrected_p_value(occupation.p_value(fit))
+    fit = setup_model.fit_columns(design)
+    p_value = test_family.corrected_p_value(setup_model.p_value(fit))
     is_passed = p_value >= test_family.false_alarm_rate
     return CheckItem.from_test(
-        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p_value
+        setup_model.recording.stations[0],
+        kind,
+        is_passed,
+        write_sentence(setup_model.recording, fit, is_passed),
+        p_value,
     )

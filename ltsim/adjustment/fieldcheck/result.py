@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import PrivateAttr
 from scipy import special
 
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.fieldcheck.setup_model import SetupModel, TwoFaceDifferences
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.arrays import Ints
 from ltsim.core.equality import ValueEquality
@@ -141,7 +141,7 @@ class SetupCheck(ValueEquality):
     """Test results, one per test."""
     two_face_differences: TwoFaceDifferences | None
     """Half two-face differences with their limits; None if no target was measured in both faces."""
-    occupation: StationOccupation | None
+    setup_model: SetupModel | None
     """Linear model of the repeated pointings of this set-up; None if no target was measured twice."""
     row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.fieldcheck.occupation import AddedColumnsFit, StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.fieldcheck.setup_model import AddedColumnsFit, SetupModel, TwoFaceDifferences
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Ints
 from ltsim.core.notation import names_text, with_sigma
@@ -80,13 +80,13 @@ def two_face_sentence(
     return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.pointing_indices[k]
 
 
-def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequence[int], row_numbers: Ints) -> str:
+def gross_pointing_sentence(setup_model: SetupModel, outlier_indices: Sequence[int], row_numbers: Ints) -> str:
     """Sentence on the outliers among the n pointings of a set-up.
 
     `outlier_indices` are the indices of the outliers, the largest first. `row_numbers` (n,) are the row numbers of all
     pointings of the set-up in the whole recording, from 1.
     """
-    recording, name = occupation.recording, occupation.recording.stations[0]
+    recording, name = setup_model.recording, setup_model.recording.stations[0]
     if not outlier_indices:
         return f"{name}: no outlier"
     first_target = recording.targets[recording.target[outlier_indices[0]]]
@@ -99,7 +99,7 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
         if other_rows
         else ""
     )
-    distance = occupation.distance_from_mean_of_others(outlier_indices[0])
+    distance = setup_model.distance_from_mean_of_others(outlier_indices[0])
     row_text = f"{name} to {first_target}: row {row_numbers[outlier_indices[0]]}"
     if not np.isfinite(distance):
         return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"
@@ -149,14 +149,14 @@ def zero_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: bool
     return f"{recording.stations[0]}: {verdict}{drift_text}"
 
 
-def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
+def target_scatter_sentence(setup_model: SetupModel, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
     """Sentence on the scatter of the pointings to k targets, and the names of the noisier half of these targets.
 
     `target_indices` (k,) are the indices of the targets, those with the largest scatter first.
     """
-    recording = occupation.recording
+    recording = setup_model.recording
     names = [recording.targets[t] for t in target_indices]
-    sigma_texts = [length_text(occupation.target_repeatability(int(t))) for t in target_indices]
+    sigma_texts = [length_text(setup_model.target_repeatability(int(t))) for t in target_indices]
     low, high = (f"{sigma_texts[i]} at {names[i]}" for i in (-1, 0))
     sentence = f"the targets cause this scatter ({low} to {high} along each axis), not distance or air"
     return sentence, tuple(names[: (len(names) + 1) // 2])

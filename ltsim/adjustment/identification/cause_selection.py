@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.estimate import adjust_from_state
+from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
@@ -238,7 +238,7 @@ def adjust_with_causes(
         True to subtract the estimated shifts from the readings first, so that only the remaining shifts are estimated,
         from start values of zero. Otherwise the start values are the estimates of the fit.
     **options
-        Further keyword arguments of `adjust_from_state`.
+        Further keyword arguments of `adjust`.
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),
@@ -257,4 +257,4 @@ def adjust_with_causes(
     start_state = replace(
         fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([effect_values, values])
     )
-    return adjust_from_state(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)
+    return adjust(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)

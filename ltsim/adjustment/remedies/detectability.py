@@ -65,7 +65,7 @@ class MinimalDetectableSize:
     """Largest of the detectable sizes [SI] over all variants of the effect; infinite if unknowns absorb a variant."""
     plausible_size: float
     """Plausible size of the parameter [SI]."""
-    visible_fraction: float
+    residual_fraction: float
     """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over variants."""
     worst_variant: str
     """Text with the stations, targets and shape parameters of the variant with the largest detectable size."""

@@ -19,9 +19,9 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
 from ltsim.recordings.files import read_lines, safe_excerpt, write_text
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.spreadsheets.cells import is_numeric
+from ltsim.recordings.spreadsheets.sheets import rows_of_file_beginning
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import is_numeric
-from ltsim.recordings.tables.sheets import rows_of_file_beginning
 
 PERMITTED_CONVENTION_WORDS = {
     name: get_args(kind) for name, kind in (("angle", AngleUnit), ("vertical", VerticalKind), ("azimuth", AzimuthSense))

@@ -26,12 +26,12 @@ from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
-from ltsim.recordings.tables.header import title_words_and_unit
+from ltsim.recordings.spreadsheets.header import title_words_and_unit
+from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
 from ltsim.recordings.tables.interpretation import interpret_readings
 from ltsim.recordings.tables.pointing_table import PointingTable
 from ltsim.recordings.tables.reader import assemble_recording
 from ltsim.recordings.tables.rows import read_pointing_table
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
 """Word in the title of a report, by which the format is recognised."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH
-from ltsim.recordings.tables.header import HEIGHT_ROLES, TableColumn, title_role, title_words_and_unit
-from ltsim.recordings.tables.sheets import SheetRow
+from ltsim.recordings.spreadsheets.header import HEIGHT_ROLES, TableColumn, title_role, title_words_and_unit
+from ltsim.recordings.spreadsheets.sheets import SheetRow
 
 INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets.header import (
     ANGLE_PART_ROLE,
     ANGLE_SYMBOLS,
     SIGMA_ROLES,
@@ -15,7 +15,7 @@ from ltsim.recordings.tables.header import (
     reading_kind,
     split_title_and_unit,
 )
-from ltsim.recordings.tables.title_words import TITLES_BY_ROLE
+from ltsim.recordings.spreadsheets.title_words import TITLES_BY_ROLE
 
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLES_BY_ROLE, *SIGMA_ROLES.values())))
 """Roles (contents of a column, such as `azimuth`) that the option ``--columns`` accepts."""

@@ -8,15 +8,15 @@ from itertools import accumulate, pairwise, takewhile
 from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     ANGLE_SYMBOLS,
     COORDINATE_ROLES,
     normalised_title,
     title_words_and_unit,
     unknown_unit_sentence,
 )
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400

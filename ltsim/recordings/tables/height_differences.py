@@ -15,8 +15,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import NOT_MEASURED
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     HEIGHT_ROLES,
     VERTICAL_ROLES,
     TableColumn,

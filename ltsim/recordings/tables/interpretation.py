@@ -40,8 +40,8 @@ from ltsim.recordings.conventions import (
 )
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     COORDINATE_ROLES,
     DISTANCE_ROLES,
     HEIGHT_ROLES,
@@ -50,9 +50,9 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
+from ltsim.recordings.spreadsheets.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.tables.height_differences import height_differences, is_raw_second_face, unit_in_title
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
-from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360

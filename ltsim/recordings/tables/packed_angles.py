@@ -6,8 +6,8 @@ import numpy as np
 
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, TableColumn
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import HORIZONTAL_ROLES, VERTICAL_ROLES, TableColumn
 from ltsim.recordings.tables.pointing_table import DigitTexts, PointingTable, to_digit_texts
 
 MIN_PACKED_CELLS = 10

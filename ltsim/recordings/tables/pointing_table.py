@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.recordings.files import SourceLocation, safe_excerpt
-from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
+from ltsim.recordings.spreadsheets.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 DigitTexts = NDArray[np.bytes_]
 """Array (n,) of n numbers as texts of decimal digits in ASCII; the text is empty for a missing number."""

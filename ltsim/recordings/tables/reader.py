@@ -30,9 +30,16 @@ from ltsim.recordings.resolution import (
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE
-from ltsim.recordings.tables import cells
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
+from ltsim.recordings.spreadsheets.sheets import (
+    TABLE_SUFFIXES,
+    ZIP_SIGNATURE,
+    is_table_folder,
+    read_sheets,
+    rows_of_file_beginning,
+)
 from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
-from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import covariates_with_instrument_heights
 from ltsim.recordings.tables.interpretation import TableConventions, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
@@ -45,13 +52,6 @@ from ltsim.recordings.tables.setups import (
     split_occupations,
     unapplied_heights_notes,
     with_setups_over_marks,
-)
-from ltsim.recordings.tables.sheets import (
-    TABLE_SUFFIXES,
-    ZIP_SIGNATURE,
-    is_table_folder,
-    read_sheets,
-    rows_of_file_beginning,
 )
 from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name

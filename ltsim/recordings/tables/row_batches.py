@@ -9,8 +9,8 @@ from sys import intern
 import numpy as np
 
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
     READING_ROLES,
@@ -18,8 +18,8 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
+from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
 from ltsim.recordings.tables.pointing_table import DigitTexts, UnconvertedPointings, join_pointings, to_digit_texts
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
 """Smallest magnitude of a reading that is refused, in any unit."""

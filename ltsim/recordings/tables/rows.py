@@ -10,11 +10,8 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import SourceLocation, is_number, safe_excerpt
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.blocks import StationContext
-from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
-from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
-from ltsim.recordings.tables.header import (
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import (
     READING_ROLES,
     TableColumn,
     count_recognised_titles,
@@ -25,6 +22,11 @@ from ltsim.recordings.tables.header import (
     title_role,
     title_words_and_unit,
 )
+from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.title_words import SUMMARY_ROW_FIRST_WORDS
+from ltsim.recordings.tables.blocks import StationContext
+from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
+from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
 from ltsim.recordings.tables.pointing_table import (
     ROWS_PER_BATCH,
     PointingTable,
@@ -32,8 +34,6 @@ from ltsim.recordings.tables.pointing_table import (
     join_pointings,
 )
 from ltsim.recordings.tables.row_batches import RowBatch, RowBatchReader, pad_cells
-from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.tables.title_words import SUMMARY_ROW_FIRST_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Contents of the columns, in order, of a table without header."""

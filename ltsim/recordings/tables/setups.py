@@ -19,8 +19,8 @@ from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
-from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import HEIGHT_ROLES
+from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.header import HEIGHT_ROLES
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"

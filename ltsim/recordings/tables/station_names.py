@@ -8,7 +8,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables.header import title_words_and_unit
+from ltsim.recordings.spreadsheets.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
 MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP = (0.1, 0.02)

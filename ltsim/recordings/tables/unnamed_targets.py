@@ -11,7 +11,7 @@ from ltsim.core.notation import names_text
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables.cells import is_numeric
+from ltsim.recordings.spreadsheets.cells import is_numeric
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4

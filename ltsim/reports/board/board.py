@@ -208,7 +208,7 @@ class MovableLayout:
         visible = np.asarray(survey.is_visible.any(axis=0))
         try:
             information = ExpectedPrecision.from_survey(survey.with_targets_only(visible), self.construction)
-            covariance = information.target_covariance
+            covariance = information.target_covariances
         except LtsimError as problem:
             return evaluation | {"problem": f"{problem}"}
         points: list[dict[str, Any] | None] = [None] * len(visible)

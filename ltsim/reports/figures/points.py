@@ -189,12 +189,12 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     """Draw the rms whitened residual of each pointing over time, with the intervals in which a tracker moved."""
     seconds_per_unit, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
     for i, setup in enumerate(check.arrays.setup_checks):
-        if setup.occupation is None:
+        if setup.setup_model is None:
             continue
-        misfit = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
+        misfit = np.sqrt(np.mean(setup.setup_model.whitened_residuals**2, axis=1))
         label = style.shortened_name(setup.station, MAX_LEGEND_NAME_LENGTH) if i < MAX_LEGEND_STATIONS else None
         ax.plot(
-            setup.occupation.recording.time / seconds_per_unit,
+            setup.setup_model.recording.time / seconds_per_unit,
             misfit,
             ".",
             ms=4,

@@ -15,8 +15,8 @@ import ltsim as lt
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck import Check, check
 from ltsim.adjustment.fieldcheck.check import best_fitting_bump
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
 from ltsim.adjustment.fieldcheck.sentences import number_text
+from ltsim.adjustment.fieldcheck.setup_model import SetupModel, two_face_pairs
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import parse_mpe, wait_for_changes, watch_recording
 from ltsim.cli.main import run
@@ -47,7 +47,7 @@ def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
 def moved(recording: Recording, station: int, time: float, motion: list[float]) -> Recording:
     """The recording with a station that stands elsewhere from a time on [m, rad]."""
     rows = recording.station == station
-    visit = StationOccupation.from_recording(recording.select(rows), misalignment_construction())
+    visit = SetupModel.from_recording(recording.select(rows), misalignment_construction())
     after = recording.time[rows] >= time
     readings = recording.readings.copy()
     readings[rows] += reading_change_by_station_motion(visit.sightings, after[:, None] * np.array(motion))
@@ -127,7 +127,7 @@ def test_a_large_error_of_one_distance_is_gross_and_no_constant_of_the_instrumen
 
 def test_creeping_is_called_drift() -> None:
     recording = visits(6, values=0.5)
-    visit = StationOccupation.from_recording(recording, misalignment_construction())
+    visit = SetupModel.from_recording(recording, misalignment_construction())
     share = recording.time / recording.time.max()
     creep = reading_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
     found = check(recording.with_readings(recording.readings + creep))
@@ -147,7 +147,7 @@ def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
     clean = visits(6, values=0.5)
     recording = clean.replace(time=clean.time * (36 * 60 / clean.time.max()))
     visit, share = (
-        StationOccupation.from_recording(recording, misalignment_construction()),
+        SetupModel.from_recording(recording, misalignment_construction()),
         recording.time / recording.time.max(),
     )
     for millimetres in (0.05, 0.3, 2.0):
@@ -167,7 +167,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     share = clean.time[rows] / clean.time[rows].max()
     sunk, visit = (
         clean.readings.copy(),
-        StationOccupation.from_recording(clean.select(rows), misalignment_construction()),
+        SetupModel.from_recording(clean.select(rows), misalignment_construction()),
     )
     sunk[rows] += reading_change_by_station_motion(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
     recording = clean.with_readings(sunk).select(np.isin(clean.face, faces))
@@ -189,7 +189,7 @@ def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed
     first = clean.select(rows)
     at = float(np.median(first.time))
     motion = (first.time > at)[:, None] * np.array([1e-3 * millimetres, 0, 0, 0, 0, 2e-5])
-    bumped, visit = clean.readings.copy(), StationOccupation.from_recording(first, misalignment_construction())
+    bumped, visit = clean.readings.copy(), SetupModel.from_recording(first, misalignment_construction())
     bumped[rows] += reading_change_by_station_motion(visit.sightings, motion)
     recording = clean.with_readings(bumped)
     found = check(recording)
@@ -358,7 +358,7 @@ def test_the_whole_search_is_paid_for() -> None:
     """The best of all gaps on clean readings: its chance, gaps counted, is no smaller than it should be."""
     chances = []
     for seed in range(20):
-        visit = StationOccupation.from_recording(visits(seed), misalignment_construction())
+        visit = SetupModel.from_recording(visits(seed), misalignment_construction())
         _, gain, gaps = best_fitting_bump(visit)
         chances.append(visit.p_value(gain) * gaps)
     assert np.mean(np.array(chances) < 0.1) <= 0.2

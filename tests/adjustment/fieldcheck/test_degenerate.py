@@ -11,7 +11,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.fieldcheck.occupation import face_pair_rows
+from ltsim.adjustment.fieldcheck.setup_model import face_pair_rows
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.network import calibrate_network

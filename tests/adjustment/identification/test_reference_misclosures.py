@@ -88,7 +88,7 @@ def test_standard_deviation_of_a_wrong_point_is_that_of_its_prediction_and_its_o
     (test,) = cause_tests(selection)
     fit = selection.fit
     misclosure = (off * MILLIMETRE) - fit.state.target_points[recording.targets.index("T12")]
-    covariance = fit.adjustment.target_covariance[recording.targets.index("T12")] + (
+    covariance = fit.adjustment.target_covariances[recording.targets.index("T12")] + (
         sigma_mm * MILLIMETRE
     ) ** 2 * np.eye(3)
     direction = misclosure / np.linalg.norm(misclosure)

@@ -68,7 +68,7 @@ class AddedColumnsFit:
 
 
 @dataclass(frozen=True)
-class StationOccupation:
+class SetupModel:
     """Linear model of one set-up with repeated pointings: residuals after a fit of targets and instrument errors."""
 
     recording: Recording
@@ -97,7 +97,7 @@ class StationOccupation:
         construction: GeometricErrorModel,
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
-    ) -> StationOccupation:
+    ) -> SetupModel:
         """Model of the only set-up of a recording, with the parameters of the error model `construction` as unknowns.
 
         `row_mask` (n,) selects some of the n pointings, by default all. `sigma` (n, 3) [m, rad, rad] are the standard
@@ -122,9 +122,9 @@ class StationOccupation:
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_SINGULAR_VALUE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        occupation = cls(recording, sightings, mask, misclosure, basis, instrument, sigma, dof)
+        setup_model = cls(recording, sightings, mask, misclosure, basis, instrument, sigma, dof)
         return replace(
-            occupation, whitened_residuals=occupation.project_columns(misclosure[:, :, None] * scale)[:, :, 0]
+            setup_model, whitened_residuals=setup_model.project_columns(misclosure[:, :, None] * scale)[:, :, 0]
         )
 
     @property
@@ -186,7 +186,7 @@ class StationOccupation:
         ratio = (fit.chi2_drop / fit.rank) / max((self.chi2 - fit.chi2_drop) / dof, 1e-30)
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
-    def with_fitted_columns(self, design: Floats) -> StationOccupation:
+    def with_fitted_columns(self, design: Floats) -> SetupModel:
         """Model of the set-up with another cause, such as a bump, as additional unknowns.
 
         `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.files import SourceLocation, safe_excerpt
-from ltsim.recordings.tables.title_words import (
+from ltsim.recordings.spreadsheets.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
     FOREIGN_TITLES_BY_LANGUAGE,

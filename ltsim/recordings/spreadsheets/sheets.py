@@ -26,8 +26,8 @@ from ltsim.core.limits import (
     MAX_WORKBOOK_SHEETS,
 )
 from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
-from ltsim.recordings.tables.cells import detect_thousands_separator, is_numeric
-from ltsim.recordings.tables.workbook_archive import checked_workbook_archive
+from ltsim.recordings.spreadsheets.cells import detect_thousands_separator, is_numeric
+from ltsim.recordings.spreadsheets.workbook_archive import checked_workbook_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 """Suffixes of the names of files that may be tables."""

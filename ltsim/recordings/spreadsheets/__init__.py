@@ -1,0 +1,1 @@
+"""Cells, headers and rows of delimited text and workbooks, whatever the rows mean."""
