@@ -45,6 +45,7 @@ from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.settings import to_toml
+from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
@@ -106,16 +107,18 @@ def run_campaign(
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
     tables: Mapping[str, Any] | None = None,
+    loaded: tuple[CampaignFile, tuple[Scenario, ...]] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> CampaignRunResult:
     """Run, continuation or extension of a campaign in `folder`, as by `ltsim.campaign` but with a choice of workers.
 
-    `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
+    `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys. `loaded`
+    is the result of `load_campaign` for these arguments, if the caller has it.
     `progress` is called with the number of rows (trials times methods) that were finished since the last call.
     """
     with reraise_as_input_error():
         check_writable(folder, is_folder=True)
-    campaign, scenarios = load_campaign(file, changes, tables)
+    campaign, scenarios = loaded or load_campaign(file, changes, tables)
     factors, cells = make_campaign_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
     sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)

@@ -132,13 +132,20 @@ def campaign(
     changes = options.arguments().get("changes")
     path = path_of_file_or_built_in(file)
     folder = rows_folder(path, out)
-    settings, scenarios = load_campaign(path, changes)
+    settings, scenarios = loaded = load_campaign(path, changes)
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
         with terminal.show_progress("trials", n_trials) as advance:
             outcome = run_campaign(
-                path, folder, progress=advance, workers=workers, force=force, resume=options.resume, changes=changes
+                path,
+                folder,
+                progress=advance,
+                workers=workers,
+                force=force,
+                resume=options.resume,
+                changes=changes,
+                loaded=loaded,
             )
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shard_paths())

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ltsim.planning.survey import PlannedSurvey
     from ltsim.planning.verbs import StationAlternative
     from ltsim.recordings import Recording
+    from ltsim.simulation.scenario import Scenario
 
 PlanSourceArgument = Annotated[
     str | None,
@@ -193,17 +194,21 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
     `search_options` are keyword arguments of `lt.plan`.
     """
     from ltsim.planning.plan_search import SearchCallbacks
-    from ltsim.planning.result import load_plan_and_scenario, scenario_with_layout, with_cad_file_copies
+    from ltsim.planning.result import scenario_with_layout, with_cad_file_copies
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
 
-    _, scenario = load_plan_and_scenario(source)
-    for body in placed_obstacles(scenario):
-        terminal.print_text(body.description)
+    scenarios: list[Scenario] = []
+
+    def describe_obstacles(scenario: Scenario) -> None:
+        scenarios.append(scenario)
+        for body in placed_obstacles(scenario):
+            terminal.print_unbuffered(body.description)
 
     def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
+            (scenario,) = scenarios
             stored_scenario, cad_files = with_cad_file_copies(scenario_with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad_files, BEST_LAYOUT_SO_FAR_FILE: scenario_to_toml(stored_scenario)})
@@ -214,7 +219,9 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
         plan_result = lt.plan(
             source,
             **search_options,
-            callbacks=SearchCallbacks(_percent_callback(advance), terminal.print_unbuffered, write_best_layout),
+            callbacks=SearchCallbacks(
+                _percent_callback(advance), terminal.print_unbuffered, describe_obstacles, write_best_layout
+            ),
         )
     if folder is not None:
         (folder / BEST_LAYOUT_SO_FAR_FILE).unlink(missing_ok=True)

@@ -64,6 +64,8 @@ class SearchCallbacks:
     """Callback with the name of the present step ("searching layouts") and its finished fraction."""
     on_progress_sentence: Callable[[str], None] = no_progress
     """Callback with a sentence on the best layout so far, called for each better layout."""
+    on_scenario: Callable[[Scenario], None] = no_progress
+    """Callback with the scenario of the plan, called once before the search."""
     on_better_layout: Callable[[PlannedSurvey], None] = no_progress
     """Callback with the survey of the best layout so far, called for each better layout."""
 
@@ -78,6 +80,7 @@ def make_plan(
     """
     require_small_grid(file, scenario)
     progress_callbacks = callbacks or SearchCallbacks()
+    progress_callbacks.on_scenario(scenario)
     progress_callbacks.on_progress("searching layouts", 0.0)
     search = _PlanSearch(PlanningProblem(file, scenario), jobs, progress_callbacks)
     best_layout = search.best_with_fewest_stations() if file.searches_station_count else search.best_for_station_count()

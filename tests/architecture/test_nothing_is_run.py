@@ -42,7 +42,6 @@ ALLOWED = {
     "ltsim/reports/sections/__init__.py": {"import_module": "the sections of a page, by the table in the same file"},
     "ltsim/reports/figures/__init__.py": {"import_module": "the figures, by the name of an attribute in code"},
     "ltsim/cli/main.py": {"import_module": "the verbs, by the table in the same file"},
-    "ltsim/cli/options.py": {"literal_eval": "defaults in the source of the package itself, for the help"},
     "ltsim/campaigns/external_calibrator.py": {
         "run": "the program that the user names as --calibrator; no file can name it"
     },

@@ -3,10 +3,12 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ltsim.cli.main import run
+from ltsim.recordings.settings import read_toml
 
 FILE = """
 format = "ltsim-campaign/1"
@@ -44,6 +46,19 @@ def test_disagreement_with_the_full_solver_is_exit_status_one(tmp_path: Path, mo
     file.write_text(FILE)
     monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
+
+
+def test_the_campaign_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, read_files = tmp_path / "noise.toml", []
+    file.write_text(FILE.replace("trials = 300", "trials = 2").replace("[1.0, 2.0]", "[1.0]"))
+
+    def read_and_count(path: Path, kind: str) -> dict[str, Any]:
+        read_files.append(path)
+        return read_toml(path, kind)
+
+    monkeypatch.setattr("ltsim.campaigns.spec.read_toml", read_and_count)
+    assert run(["campaign", str(file), "--quiet"]) == 0
+    assert read_files == [file]
 
 
 def test_a_wrong_campaign_file_is_exit_status_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

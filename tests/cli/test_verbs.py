@@ -285,7 +285,7 @@ def test_the_shell_completes_verbs_and_options(shell: str) -> None:
 
 def test_every_module_of_a_verb_is_listed() -> None:
     folder = Path(ltsim.cli.__file__).parent
-    helpers = {"__init__", "main", "options", "output_checks", "terminal"}
+    helpers = {"__init__", "estimation_options", "main", "options", "output_checks", "terminal"}
     assert {path.stem for path in folder.glob("*.py")} - helpers == {module for module, _ in COMMANDS.values()}
 
 

@@ -211,7 +211,10 @@ def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(multistart_search, "MIN_REPORT_INTERVAL", 0.0)
     kept: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_better_layout=kept.append))
+    scenarios: list[Any] = []
+    callbacks = SearchCallbacks(on_better_layout=kept.append, on_scenario=scenarios.append)
+    made = make_plan(file, scenario, callbacks=callbacks)
+    assert scenarios == [scenario]
     assert kept
     assert kept[-1].target_names == made.layout.survey.target_names
     assert made.search_space.is_allowed(kept[-1].station_positions).all()

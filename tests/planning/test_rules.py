@@ -6,6 +6,7 @@ import json
 import re
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,3 +251,16 @@ def test_points_of_a_plan_are_bounded(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text('format = "ltsim-plan/1"\npoints = "points.csv"\n')
     with pytest.raises(InputError, match="2001 points, expected at most 2000"):
         lt.plan(tmp_path / "plan.toml")
+
+
+def test_a_search_reads_the_plan_once(hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read_files = []
+
+    def load_and_count(source: str | Path) -> Any:
+        read_files.append(Path(source))
+        return load_plan(source)
+
+    monkeypatch.setattr("ltsim.planning.result.load_plan", load_and_count)
+    assert run(["plan", str(hall), "--out", str(tmp_path / "out"), "--jobs", "1", "--quiet"]) == 0
+    assert read_files == [hall]
+    assert not (tmp_path / "out" / "best-so-far.toml").exists()
