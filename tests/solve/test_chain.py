@@ -14,7 +14,7 @@ def ring(
 ) -> tuple[np.ndarray, int]:
     """Rows of stations (six unknowns) that see the targets (three) near them, and a few unknowns of each instrument.
 
-    The instruments take turns at the stations; each has an equal part of the shared unknowns.
+    Each instrument stands at an equal part of the ring, and has an equal part of the shared unknowns.
     """
     rng = random_stream(seed, "ring")
     targets = 2 * stations
@@ -28,7 +28,9 @@ def ring(
                 row = np.zeros(kept + 3 * targets)
                 row[6 * s : 6 * s + 6] = rng.standard_normal(6)
                 row[6 * stations : kept] = rng.standard_normal(shared)
-                row[6 * stations : kept] *= np.arange(shared) * instruments // max(shared, 1) == s % instruments
+                row[6 * stations : kept] *= (
+                    np.arange(shared) * instruments // max(shared, 1) == s * instruments // stations
+                )
                 at = kept + 3 * (t % targets)
                 row[at : at + 3] = rng.standard_normal(3)
                 rows.append(row)
@@ -58,7 +60,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     )
 
 
-@pytest.mark.parametrize("instruments", [4, 12])
+@pytest.mark.parametrize("instruments", [2, 4])
 def test_parameters_of_several_instruments_are_the_border_of_a_chain(instruments: int) -> None:
     design, kept = ring(96, 24, instruments=instruments)
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
