@@ -9,8 +9,13 @@ from ltsim.solve.chain import MAX_SINGLE_BLOCK_COLUMNS, BlockChainFactor, chain_
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
-def ring(stations: int, shared: int, *, closed: bool = True, seed: int = 0) -> tuple[np.ndarray, int]:
-    """Rows of stations (six unknowns) that see the targets (three) near them, and a few unknowns of all rows."""
+def ring(
+    stations: int, shared: int, *, closed: bool = True, instruments: int = 1, seed: int = 0
+) -> tuple[np.ndarray, int]:
+    """Rows of stations (six unknowns) that see the targets (three) near them, and a few unknowns of each instrument.
+
+    Each instrument stands at an equal part of the ring, and has an equal part of the shared unknowns.
+    """
     rng = random_stream(seed, "ring")
     targets = 2 * stations
     kept = 6 * stations + shared
@@ -23,6 +28,9 @@ def ring(stations: int, shared: int, *, closed: bool = True, seed: int = 0) -> t
                 row = np.zeros(kept + 3 * targets)
                 row[6 * s : 6 * s + 6] = rng.standard_normal(6)
                 row[6 * stations : kept] = rng.standard_normal(shared)
+                row[6 * stations : kept] *= (
+                    np.arange(shared) * instruments // max(shared, 1) == s * instruments // stations
+                )
                 at = kept + 3 * (t % targets)
                 row[at : at + 3] = rng.standard_normal(3)
                 rows.append(row)
@@ -50,6 +58,16 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     np.testing.assert_allclose(
         sparse.inverse_submatrices(columns), dense.inverse_submatrices(columns), rtol=1e-7, atol=1e-9
     )
+
+
+@pytest.mark.parametrize("instruments", [2, 4])
+def test_parameters_of_several_instruments_are_the_border_of_a_chain(instruments: int) -> None:
+    design, kept = ring(96, 24, instruments=instruments)
+    dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
+    factor = sparse._schur_factor
+    assert factor.n_blocks > 2 and np.all(factor.block_of_column[kept - 24 :] == factor.n_blocks)
+    right = random_stream(1, "right").standard_normal((design.shape[1], 2))
+    np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
 
 
 def test_sets_that_are_far_apart_are_answered_too():
