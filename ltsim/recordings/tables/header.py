@@ -72,9 +72,12 @@ _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungn
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
+    "elevation": ("site",),
 }
-"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role."""
-ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup"}
+"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
+vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
+and English for a place."""
+ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": ""}
 """Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
 role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80
@@ -170,7 +173,12 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     is_polar = _count_reading_kinds(candidates) > 1
     titles_by_role = {
-        role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES
+        role: {
+            title_words_and_unit(c.title)[0]
+            for c in candidates
+            if c.role == role or {c.role, role} <= {*VERTICAL_ROLES}
+        }
+        for role in FALLBACK_TITLES
     }
     columns: list[TableColumn] = []
     used_roles: set[tuple[str, int]] = set()
@@ -179,7 +187,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
         if assigned.face and assigned.role not in two_face_roles:
             assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
-        if title_words_and_unit(assigned.title)[0] in fallback and not titles_by_role[assigned.role] <= {*fallback}:
+        if title_words_and_unit(assigned.title)[0] in fallback and (
+            not titles_by_role[assigned.role] <= {*fallback} or (assigned.role in VERTICAL_ROLES and not is_polar)
+        ):
             assigned = replace(assigned, role=ROLES_OF_UNUSED_FALLBACK_TITLES[assigned.role])
         if assigned.role and (
             (assigned.role, assigned.face) in used_roles
