@@ -297,7 +297,7 @@ def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp
     told["findings"] = [told["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
     (target / "diagnosis.json").write_text(json.dumps(told))
     *_, use = document_of_folder(target).next_actions
-    assert use.endswith(" The coordinates of T05 are from before the motion.")
+    assert use.endswith(" The coordinates of T05 refer to the time before the motion.")
 
 
 def test_next_measurement_stands_first(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from ltsim.adjustment.identification.reference_misclosures import misclosure_est
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
-from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.times import interval_text
 
@@ -126,7 +126,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     )
     axes = f" along the axes of {first_station}" if is_frame_of_station else ""
     seating = _equivalent_seating_text(fit, effect)
-    return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes}){seating}."
+    motion = f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes}){seating}."
+    return f"{motion} {moved_coordinates_sentence(hypothesis.targets)}"
 
 
 def _equivalent_seating_text(fit: NetworkFit, motion: TargetMoved) -> str:

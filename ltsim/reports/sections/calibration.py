@@ -170,7 +170,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None]
+        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None and test.is_in_model]
         if shifts:
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
@@ -184,16 +184,9 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             if n_rejected
             else ""
         )
-    sentence += f".{_misfit_causes_sentence(content)}{_larger_noise_sentence(content)}"
+    sentence += f". {corrections_sentence(content.tests)}".rstrip() + _larger_noise_sentence(content)
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{sentence}{accuracy}".rstrip()
-
-
-def _misfit_causes_sentence(content: Calibration) -> str:
-    """Sentence on the identified causes of a misfit, with a leading blank; empty without such causes."""
-    excluded_names = [entry.name for entry in content.reference_values if entry.excluded]
-    sentence = corrections_sentence(content.tests, excluded_names)
-    return f" {sentence}" if sentence else ""
 
 
 def _has_explaining_noise(content: Calibration) -> bool:
@@ -342,7 +335,9 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    if content.method == "adjustment" and any(test.sigma is not None for test in corrected_faults(content.tests)):
+    if content.method == "adjustment" and any(
+        test.sigma is not None and test.is_in_model for test in corrected_faults(content.tests)
+    ):
         text += " It is computed from the readings as they are, with the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)

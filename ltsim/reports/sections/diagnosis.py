@@ -25,6 +25,7 @@ from ltsim.diagnosis.schema import (
 )
 from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
 from ltsim.physics.effects import effect_title, parameter_text
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -146,11 +147,9 @@ def _next_actions(content: Diagnosis) -> list[str]:
     inspections = [inspection_action(finding) for finding in content.findings]
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
-        name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets
+        name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
-    use_sentence += (
-        f" The coordinates of {names_text(moved_targets)} are from before the motion." if moved_targets else ""
-    )
+    use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [
         *separating_measurements[:1],
         *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
