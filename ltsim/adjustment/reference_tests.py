@@ -21,6 +21,7 @@ from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve
@@ -116,6 +117,7 @@ class ReferenceTest(ReferenceValue):
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
+            causes += f" ({temperature_errors_text(float(self.error[0]))})"
             remark = "; the ranges now define the scale, the lengths only their ratios" if self.is_excluded else ""
             size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
             return f"{size}, or all ranges are too {less}: {causes}{remark}"

@@ -47,6 +47,7 @@ from ltsim.reports.document_model import (
     table_blocks,
 )
 from ltsim.reports.formatting import (
+    CORRECTIONS_NOTE,
     capitalised_sentence,
     count_text,
     global_test_verdict,
@@ -309,7 +310,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
         true_values[n] / SI_PER_UNIT[truth.parameter_units[n]] if truth and n in true_values else None for n in names
     ]
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
-    note = "Corrections, true value minus reading, +- one sigma."
+    note = CORRECTIONS_NOTE
     if any(p.applied_value is not None for p in rows):
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
