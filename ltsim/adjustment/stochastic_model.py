@@ -249,10 +249,13 @@ def converged_variance_components(problem: NetworkProblem, state: NetworkState) 
     use do not change.
     """
 
-    def same_readings(scaled: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
-        return scaled, solve(scaled, start)
+    def solve_with_same_readings(
+        scaled_problem: NetworkProblem, start_state: NetworkState
+    ) -> tuple[NetworkProblem, Solution[NetworkState]]:
+        """The problem with scaled standard deviations, and its solution, without a search for outliers."""
+        return scaled_problem, solve(scaled_problem, start_state)
 
-    return estimate_variance_components(problem, solve(problem, state), "observable", same_readings)[2]
+    return estimate_variance_components(problem, solve(problem, state), "observable", solve_with_same_readings)[2]
 
 
 def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:

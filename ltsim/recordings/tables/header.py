@@ -12,6 +12,7 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
+    FALLBACK_TITLES,
     FOREIGN_TITLES_BY_LANGUAGE,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_FIRST_WORDS,
@@ -65,18 +66,6 @@ UNITS_BY_ROLE = {
 }
 """Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
 have this role."""
-_SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
-"""Titles of columns of names or numbers of set-ups."""
-_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
-"""Titles of columns that number the times at which the instrument occupied a survey mark."""
-FALLBACK_TITLES = {
-    "target": ("nr", "nummer", "no", "id"),
-    "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
-    "elevation": ("site",),
-}
-"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
-vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
-and English for a place."""
 ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": ""}
 """Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
 role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""

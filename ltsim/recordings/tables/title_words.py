@@ -260,3 +260,15 @@ STATION_TITLE_LAST_WORDS = (
 """Last words of titles of columns of stations, such as "position" in "instrument position"."""
 NUMBER_TITLE_ENDINGS = ("no", "nr", "num", "number", "nummer", "id", "name")
 """Words that may end the title of a column of stations or rounds, such as "no" in "station no"."""
+_SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
+"""Titles of columns of names or numbers of set-ups."""
+_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
+"""Titles of columns that number the times at which the instrument occupied a survey mark."""
+FALLBACK_TITLES = {
+    "target": ("nr", "nummer", "no", "id"),
+    "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
+    "elevation": ("site",),
+}
+"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
+vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
+and English for a place."""
