@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, reraise_as_input_error
+from ltsim.core.table_headers import require_columns
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -147,19 +148,14 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
     return tests
 
 
-def read_table_rows(
-    file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
-) -> list[tuple[int, dict[str, str]]]:
+def read_table_rows(file: Path, required_columns: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
     """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError.
 
-    The table must have the `required_columns`, and may have the `optional_columns`.
+    The table must have the `required_columns`; further columns are permitted.
     """
     header, rows = read_small_table(file)
-    missing = [name for name in required_columns if name not in header]
-    if missing:
-        raise InputError(
-            f"{file}: there is no column {missing[0]}; expected {','.join([*required_columns, *optional_columns])}"
-        )
+    with reraise_as_input_error():
+        require_columns(header, required_columns, file)
     return rows
 
 

@@ -153,7 +153,7 @@ def read_measured_outcomes(file: Path, tests: Sequence[AcceptanceTest], limits: 
     """
     place = {test.name: i for i, test in enumerate(tests)}
     outcome_by_test: dict[str, TestOutcome] = {}
-    for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
+    for line, row in read_table_rows(file, ("test", "error_um")):
         name = row["test"].strip()
         if name not in place:
             raise InputError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")

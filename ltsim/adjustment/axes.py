@@ -18,6 +18,7 @@ from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_TEST_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option_text
+from ltsim.core.notation import count_text, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
 from ltsim.physics.model.measurement import plumb_directions
@@ -57,6 +58,10 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
     _require_same_shape(network_points, declared_points, source_text)
     if recording.setup.curved:
         recording = _with_plumb_lines(recording, common_names, declared_points)
+    notes = unmeasured_points_notes(
+        [name for name in points_by_target if name not in recording.targets], Path(source_text).name
+    )
+    recording = recording.replace(notes=(*recording.notes, *notes))
     return _with_datum_points(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
 
 
@@ -143,6 +148,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
     malformed file, for missing standard deviations, and for a file without measured targets.
     """
     listed, targets, count = read_points(path, refuses_contradictions=False), dict(recording.setup.targets), 0
+    unmeasured_names = [name for name in listed.names if name not in recording.targets]
     for name, place, covariance, line in zip(
         listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
     ):
@@ -164,9 +170,25 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
         count += 1
     if not count:
         raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
-    note = f"{count} control points of {path.name}, each with its standard deviation"
+    notes = [f"{count_text(count, 'control point')} of {path.name}, each with its standard deviation"]
+    notes += unmeasured_points_notes(unmeasured_names, path.name)
     setup = recording.setup.model_copy(update={"targets": targets})
-    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))
+    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, *notes))
+
+
+def unmeasured_points_notes(names: Sequence[str], source_text: str) -> list[str]:
+    """Note on the points of a file that no pointing measures, so that they are not used; none without such points.
+
+    `names` are the names of these points, and `source_text` is the name of their file.
+    """
+    if not names:
+        return []
+    verb = "is" if len(names) == 1 else "are"
+    return [
+        f"{count_text(len(names), 'point')} of {source_text} {verb} not used, because no pointing measures "
+        f"{'it' if len(names) == 1 else 'them'}: {names_text(names)}; if the recording has other names for "
+        f"{'it' if len(names) == 1 else 'them'}, make the names equal"
+    ]
 
 
 def _require_free_frame(recording: Recording, source: str | None = None) -> None:

@@ -9,7 +9,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import motions_about_centre, move_to_datum
 from ltsim.adjustment.frame import alignment_distances
-from ltsim.adjustment.reference_tests import ReferenceTest
+from ltsim.adjustment.reference_tests import ReferenceTest, length_sigma
 from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
@@ -133,4 +133,5 @@ def _axes_point_test(
         rank=len(share),
         is_excluded=not is_used,
         critical_value=max(MIN_CERTAIN_ERROR_SIGMAS, float(np.sqrt(limit))),
+        error_length_sigma=length_sigma(turned @ error, turned @ spread @ turned.T),
     )

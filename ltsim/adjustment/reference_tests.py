@@ -21,6 +21,7 @@ from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve
@@ -69,6 +70,8 @@ class ReferenceTest(ReferenceValue):
     indistinguishable_from: tuple[str, ...] = ()
     """Names of other reference values whose errors would explain the misfit equally well. None of these values is
     excluded, unless all are set-ups over marks."""
+    error_length_sigma: float | None = None
+    """Standard deviation [m, rad or 1] of the length of `error`, by its covariance; None if it is not known."""
 
     @property
     def normalised_error(self) -> float:
@@ -90,10 +93,11 @@ class ReferenceTest(ReferenceValue):
     def error_text(self) -> str:
         """Text with the size of the error (length of its vector), its standard deviation and unit.
 
-        The standard deviation is the size divided by `normalised_error`.
+        If the covariance of the error is not known, the standard deviation is the size divided by `normalised_error`.
         """
-        error_size = float(np.linalg.norm(self.error))
-        sigma = error_size / self.normalised_error if self.normalised_error else 0.0
+        error_size, sigma = float(np.linalg.norm(self.error)), self.error_length_sigma
+        if sigma is None:
+            sigma = error_size / self.normalised_error if self.normalised_error else 0.0
         unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(error_size / factor, sigma / factor, unit)
 
@@ -113,6 +117,7 @@ class ReferenceTest(ReferenceValue):
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
+            causes += f" ({temperature_errors_text(float(self.error[0]))})"
             remark = "; the ranges now define the scale, the lengths only their ratios" if self.is_excluded else ""
             size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
@@ -131,7 +136,11 @@ class ReferenceTest(ReferenceValue):
         """Same test with all standard deviations multiplied by `factor`, for noise larger than declared."""
         chi2_drop, error_sigmas = self.chi2_drop / factor**2, factor * self.error_sigmas
         return replace(
-            self, declared_sigmas=factor * self.declared_sigmas, error_sigmas=error_sigmas, chi2_drop=chi2_drop
+            self,
+            declared_sigmas=factor * self.declared_sigmas,
+            error_sigmas=error_sigmas,
+            chi2_drop=chi2_drop,
+            error_length_sigma=None if (sigma := self.error_length_sigma) is None else factor * sigma,
         )
 
     @property
@@ -233,15 +242,23 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
     redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]
     eigen_products, eigen_errors = eigenvectors.T @ (residual_inner_products / norms), eigenvectors / norms[:, None]
     is_determined = np.sum(eigenvectors**2, axis=1) > 0.5
+    error = eigen_errors @ (eigen_products / redundancies)
     return ReferenceTest(
         value.kind,
         value.name,
         value.declared_axes,
         value.declared_sigmas,
         value.residual,
-        eigen_errors @ (eigen_products / redundancies),
+        error,
         np.where(is_determined, np.sqrt(np.sum(eigen_errors**2 / redundancies, axis=1)), np.inf),
         float(np.sum(eigen_products**2 / redundancies)),
         int(checked.sum()),
         occupied_by=value.occupied_by,
+        error_length_sigma=length_sigma(error, (eigen_errors / redundancies) @ eigen_errors.T),
     )
+
+
+def length_sigma(vector: Floats, covariance: Floats) -> float:
+    """Standard deviation of the length of a `vector` (q,) with the `covariance` (q, q); 0 for the zero vector."""
+    length = float(np.linalg.norm(vector))
+    return float(np.sqrt(max(float(vector @ covariance @ vector), 0.0))) / length if length else 0.0

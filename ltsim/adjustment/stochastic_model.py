@@ -55,7 +55,7 @@ def noise_declaration_texts(recording: Recording, observable: str, factor: float
     """
     noise = recording.setup.instrument_named(recording.instruments[0]).noise
     return [
-        f"{key} to {factor * getattr(noise, key):.2g}"
+        f"{key} to {factor * getattr(noise, key):.3g}"
         for key in NOISE_KEYS_BY_OBSERVABLE[observable]
         if getattr(noise, key)
     ]
@@ -239,6 +239,23 @@ def estimate_variance_components(
     kinds += [("level", "")] if len(problem.level_rows) else []
     component_rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in component_rows)
+
+
+def converged_variance_components(problem: NetworkProblem, state: NetworkState) -> tuple[VarianceComponent, ...]:
+    """Noise of each observable, estimated with weights that agree with it; without redundancy there is none.
+
+    A noise that is declared with these factors is confirmed by the next adjustment. One step from the declared noise is
+    not sufficient, because wrong weights distribute the misfit among the observables in a wrong way. The readings in
+    use do not change.
+    """
+
+    def solve_with_same_readings(
+        scaled_problem: NetworkProblem, start_state: NetworkState
+    ) -> tuple[NetworkProblem, Solution[NetworkState]]:
+        """The problem with scaled standard deviations, and its solution, without a search for outliers."""
+        return scaled_problem, solve(scaled_problem, start_state)
+
+    return estimate_variance_components(problem, solve(problem, state), "observable", solve_with_same_readings)[2]
 
 
 def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:

@@ -9,7 +9,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.stochastic_model import noise_declaration_texts
+from ltsim.adjustment.stochastic_model import converged_variance_components, noise_declaration_texts
 from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
@@ -184,26 +184,27 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
 
 
 def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL) -> str:
-    """Advice on the noise to declare if readings scatter less than declared; otherwise empty.
+    """Advice on the noise to declare if readings scatter less or more than declared; otherwise empty.
 
-    Each observable is tested separately, by the sum of its squared residuals (chi-square with its redundancy as degrees
-    of freedom) at the one-sided significance level `alpha` / 2.
+    Each observable is tested separately with the noise of the others as the readings show it: the square of its noise
+    factor times its redundancy is compared with chi-square, at the two-sided significance level `alpha`.
     """
-    problem, recording = adjustment.problem, adjustment.recording
-    scaled, advice, by_row = adjustment.residuals / problem.reading_sigmas, [], []
+    recording, advice, by_row = adjustment.recording, list[str](), list[str]()
+    components = {c.observable: c for c in converged_variance_components(adjustment.problem, adjustment.state)}
     for k, observable in enumerate(OBSERVABLES):
-        use = problem.is_used_reading[:, k]
-        redundancy = float(adjustment.redundancy[use, k].sum())
-        square = float(np.sum(scaled[use, k] ** 2))
-        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > alpha / 2:
+        component, use = components.get(observable), adjustment.problem.is_used_reading[:, k]
+        if component is None or component.redundancy < MIN_DOF_FOR_ESTIMATED_NOISE:
             continue
-        factor = np.sqrt(square / redundancy)
+        factor, half_dof = component.noise_factor, 0.5 * component.redundancy
+        tails = (f(half_dof, half_dof * factor**2) for f in (special.gammainc, special.gammaincc))
+        if min(tails) > alpha / 2:
+            continue
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
-            by_row.append(f"the sigmas of {observable} by {factor:.2g}")
+            by_row.append(f"the sigmas of {observable} by {factor:.3g}")
         elif len(recording.instruments) == 1:
-            advice += noise_declaration_texts(recording, observable, float(factor))
+            advice += noise_declaration_texts(recording, observable, factor)
         else:
-            by_row.append(f"the noise of {observable} by {factor:.2g}")
+            by_row.append(f"the noise of {observable} by {factor:.3g}")
     sentences = [f"Set {names_text(advice, len(advice))} in [instrument.noise]." if advice else ""]
     sentences.append(f"Multiply {names_text(by_row, len(by_row))}." if by_row else "")
     return " ".join(filter(None, sentences))

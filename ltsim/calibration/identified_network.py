@@ -13,6 +13,12 @@ from ltsim.adjustment.identification import (
     identify_causes,
 )
 from ltsim.adjustment.identification.cause_sentences import cause_sentence
+from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
+    NoiseFactorChange,
+    ReadingShiftChange,
+    ReferenceOmission,
+)
 from ltsim.adjustment.identification.recommendations import corrected_faults, corrections_sentence
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.quality import require_usable_adjustment
@@ -22,7 +28,7 @@ from ltsim.calibration import result
 from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING
 from ltsim.calibration.reported_uncertainty import uncertainty_factor
 from ltsim.core.errors import ConvergenceError, NetworkError
-from ltsim.core.notation import names_text, number_text
+from ltsim.core.notation import number_text
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
@@ -77,14 +83,13 @@ class IdentifiedNetwork:
             adjustment.solution.require_success()
         except ConvergenceError as problem:
             raise ConvergenceError(f"{problem}; run ltsim diagnose on this recording", problem.solution) from problem
-        tests = () if selection is None else cause_tests(selection)
+        tests = cause_tests_of_adjustment(selection, adjustment)
         return cls(adjustment, ResultSource.from_recording(recording), tests, network_uncertainty_factor(adjustment))
 
     @property
     def corrections_text(self) -> str:
         """Sentence on the number and place of the identified causes of a misfit in the model; empty without a cause."""
-        excluded_names = [test.name for test in self.adjustment.rejected_references]
-        return corrections_sentence(self.tests, excluded_names)
+        return corrections_sentence(self.tests)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -96,8 +101,6 @@ class IdentifiedNetwork:
         """Warnings on each cause in the model, and on readings that contradict the model, with the next action."""
         faults = corrected_faults(self.tests)
         warnings = [test.sentence for test in faults if test.sentence]
-        if moved := [name for test in faults if test.kind == "target-moved" for name in test.where.targets]:
-            warnings.append(f"The coordinates of {names_text(moved)} refer to the time before the motion.")
         if self.uncertainty_factor > 1.0:
             warnings.append(
                 f"The readings contradict the model: all standard deviations are multiplied by sigma0 = "
@@ -112,6 +115,40 @@ def network_uncertainty_factor(adjustment: Adjustment) -> float:
     return uncertainty_factor(
         result.fit_entry(adjustment), is_sigma0_credible=result.fit_verdict(adjustment).uses_estimated_noise
     )
+
+
+def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adjustment) -> tuple[CauseTest, ...]:
+    """Tests of the selected causes and of the outliers, which state if the model of an adjustment contains the cause.
+
+    `adjustment` is that of `adjust_with_cause_selection` for the same `selection`; None for no causes.
+    """
+    if selection is None:
+        return ()
+    tests = cause_tests(selection)
+    if selection.requires_adjustment_with_causes:
+        return tests
+    hypotheses = [choice.hypothesis for choice in selection.selected_hypotheses]
+    return tuple(
+        test
+        if i >= len(hypotheses) or _contains_cause(adjustment, hypotheses[i])
+        else test.model_copy(update={"is_in_model": False})
+        for i, test in enumerate(tests)
+    )
+
+
+def _contains_cause(adjustment: Adjustment, hypothesis: CauseHypothesis) -> bool:
+    """True if an adjustment without all selected causes contains this one, or if it changes only the noise."""
+    change = hypothesis.model_change
+    if isinstance(change, ReferenceOmission):
+        value = change.reference_value
+        return not any(
+            (test.kind, test.name) == (value.kind, value.name) and not test.is_excluded
+            for test in adjustment.reference_tests
+        )
+    if isinstance(change, ReadingShiftChange):
+        places = [({*effect.stations}, {*effect.targets}) for effect in adjustment.problem.model.effects]
+        return ({*hypothesis.stations}, {*hypothesis.targets}) in places
+    return isinstance(change, NoiseFactorChange)
 
 
 def adjust_with_cause_selection(

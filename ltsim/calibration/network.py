@@ -7,14 +7,18 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
-from ltsim.adjustment.identification import cause_tests, identify_causes
+from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.adjustment.prior import expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.identified_network import adjust_with_cause_selection, network_uncertainty_factor
+from ltsim.calibration.identified_network import (
+    adjust_with_cause_selection,
+    cause_tests_of_adjustment,
+    network_uncertainty_factor,
+)
 from ltsim.calibration.prior_conflict import (
     contradicted_prior_mask,
     is_noise_overstated,
@@ -112,7 +116,7 @@ def calibrate_network(
             alternates = any(np.array_equal(further, earlier) for earlier in tried_sets)
             freed = freed & further if alternates else further
             tried_sets.append(freed)
-    tests = () if selection is None else cause_tests(selection)
+    tests = cause_tests_of_adjustment(selection, adjustment)
     calibration = _make_calibration(
         recording,
         adjustment,
@@ -187,8 +191,8 @@ def adjust(
     adjustment = adjust_with_cause_selection(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
-    tests, constants = () if selection is None else cause_tests(selection), _fit_with_instrument_constants(adjustment)
-    options = {"robust": robust, "tests": tests, "fit_with_constants": constants}
+    tests = cause_tests_of_adjustment(selection, adjustment)
+    options = {"robust": robust, "tests": tests, "fit_with_constants": _fit_with_instrument_constants(adjustment)}
     return with_reported_uncertainty(
         _make_calibration(source, adjustment, "adjustment", recommend_measurements=False, **options)
     )

@@ -35,6 +35,7 @@ from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_jacobian
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
+from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
@@ -252,7 +253,8 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
-        sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check it"
+        sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check the unit "
+        sentence += f"and the temperature of both ({temperature_errors_text(scale[0])})"
     return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
 import typer
 
@@ -109,23 +109,40 @@ def check_overwrite(
     existing_names = _existing_file_names(folder, (model.FILE, *names))
     if force:
         return
-    if existing_names and not _is_replaceable(folder, model, existing_names, is_of_same_command):
-        _raise_occupied_folder(folder, existing_names)
+    if existing_names:
+        _check_replaceable(folder, model, existing_names, is_of_same_command)
     _check_no_foreign_files(folder)
 
 
-def _is_replaceable(
+def _check_replaceable(
     folder: Path, model: type[ResultFile], existing_names: list[str], is_of_same_command: Callable[[Any], bool]
-) -> bool:
-    """True if this command wrote all existing files and none of them has been changed since."""
+) -> None:
+    """Check that this command wrote all existing files and that none of them has been changed since.
+
+    Raises RecordError, which names only the files that must not be replaced, and the reason.
+    """
     from ltsim.recordings.result_file import read_result
 
+    if model.FILE not in existing_names:
+        _raise_occupied_folder(folder, existing_names, "which this command did not write")
     try:
         result = read_result(folder, model)
-        is_of_this_command = bool(result.files or result.recording) and is_of_same_command(result)
-        return is_of_this_command and all(
-            result.is_unchanged_companion(folder, name) for name in existing_names if name != model.FILE
-        )
+    except RecordError as problem:
+        _raise_occupied_folder(folder, [model.FILE], f"which is not a valid result of this command ({problem})")
+    if not (result.files or result.recording) or not is_of_same_command(result):
+        _raise_occupied_folder(folder, [model.FILE], "which this command did not write")
+    companion_names = [name for name in existing_names if name != model.FILE]
+    if foreign_names := [name for name in companion_names if name not in result.files]:
+        _raise_occupied_folder(folder, foreign_names, "which this command did not write")
+    if changed_names := [name for name in companion_names if not _is_unchanged_companion(result, folder, name)]:
+        verb, them = ("was", "it") if len(changed_names) == 1 else ("were", "them")
+        _raise_occupied_folder(folder, changed_names, f"which {verb} changed after this command wrote {them}")
+
+
+def _is_unchanged_companion(result: ResultFile, folder: Path, name: str) -> bool:
+    """True if the companion file `name` of a result in `folder` is readable and has not been changed."""
+    try:
+        return result.is_unchanged_companion(folder, name)
     except RecordError:
         return False
 
@@ -153,7 +170,7 @@ def check_recording_folder(folder: Path, force: bool) -> None:
     if force:
         return
     if len(existing_names) == 1:
-        _raise_occupied_folder(folder, existing_names)
+        _raise_occupied_folder(folder, existing_names, "which is only a part of a recording")
     _check_no_foreign_files(folder)
 
 
@@ -214,7 +231,7 @@ def check_empty_folder(folder: Path, force: bool) -> None:
     if folder.is_dir() and not force:
         existing_names = sorted(p.name for p in folder.iterdir())
         if existing_names:
-            _raise_occupied_folder(folder, existing_names)
+            _raise_occupied_folder(folder, existing_names, "expected a new or empty folder")
 
 
 def check_new_file(file: Path, force: bool) -> None:
@@ -276,11 +293,11 @@ def _result_and_companion_names(file: Path) -> set[str]:
     return {file.name, *(companions if isinstance(companions, dict) else ())}
 
 
-def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
-    """RecordError on files in a folder that a command would replace although it did not write them."""
+def _raise_occupied_folder(folder: Path, existing_names: list[str], reason: str) -> NoReturn:
+    """RecordError on files in a folder that a command must not replace; `reason` is a clause on these files."""
     raise RecordError(
-        f"the folder contains {names_text(existing_names, 3)}, which this command did not write or which was changed "
-        "since; choose another folder, or use --force",
+        f"the folder contains {names_text(existing_names, 3)}, {reason}; choose another folder, or replace the files "
+        "with --force",
         file=folder,
     )
 

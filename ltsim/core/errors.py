@@ -29,7 +29,8 @@ class RecordError(LtsimError):
     message : str
         Invalid value, and the expected value.
     file, row, column
-        Location of the value, None where it is unknown; `row` counts data rows from 1 (the header is row 0).
+        Location of the value, None where it is unknown; `row` counts data rows from 1 (the header is row 0, which
+        the message names `header`).
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class RecordError(LtsimError):
     ) -> None:
         self.file, self.row, self.column = file, row, column
         location_texts = [] if file is None else [str(file)]
-        location_texts += [] if row is None else [f"row {row}"]
+        location_texts += [] if row is None else [f"row {row}" if row else "header"]
         location_texts += [] if column is None else [f"column {column}"]
         super().__init__(", ".join(location_texts) + ": " + message if location_texts else message)
 
@@ -155,13 +156,14 @@ def as_printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t\u00a0" else "?" for c in text)
 
 
+def shortened_name(name: str) -> str:
+    """Printable name of at most `MAX_QUOTED_NAME_LENGTH` characters for a message."""
+    return as_printable(name if len(name) <= MAX_QUOTED_NAME_LENGTH else f"{name[:MAX_QUOTED_NAME_LENGTH]}...")
+
+
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
     """ModelError for an unknown name; it lists similar `valid_names`. `object_kind` is a noun such as `effect`."""
     choices = sorted(valid_names)
-    short = as_printable(
-        unknown_name_text
-        if len(unknown_name_text) <= MAX_QUOTED_NAME_LENGTH
-        else f"{unknown_name_text[:MAX_QUOTED_NAME_LENGTH]}..."
-    )
+    short = shortened_name(unknown_name_text)
     similar_names = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {object_kind} called '{short}'; did you mean {', '.join(similar_names)}?")

@@ -26,6 +26,7 @@ from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_value_text
+from ltsim.core.table_headers import require_columns
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
 
 if TYPE_CHECKING:
@@ -255,10 +256,7 @@ class Table(ValueEquality):
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())
-            missing = [name for name in self.header if names.count(name) != 1]
-            if missing:
-                what = "is there twice" if missing[0] in names else "is missing"
-                raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
+            require_columns(names, self.header, file)
             return self.with_rows(
                 [_parse_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
             )

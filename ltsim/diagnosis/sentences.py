@@ -9,6 +9,7 @@ from ltsim.core.notation import MAX_LISTED_ITEMS, names_text, with_sigma
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 
 MIN_PROBABILITY_OF_PROBABLE_CAUSE = 0.5
 """Smallest probability at which a cause is reported as probable: it is then more probable than not."""
@@ -99,7 +100,8 @@ def catalogue_effect_sentence(
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE else f"Perhaps {lower_title}"
-    return f"{title} ({place_name}){f': {sizes_text}' if sizes_text else ''}. {located}{cause}"
+    coordinates = f" {moved_coordinates_sentence(scope.targets)}" if effect_name == TargetMoved.name else ""
+    return f"{title} ({place_name}){f': {sizes_text}' if sizes_text else ''}. {located}{cause}{coordinates}"
 
 
 def law_sentence(

@@ -14,6 +14,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_COLUMNS
 from ltsim.core.results import escape_formula, unescape_formula
+from ltsim.core.table_headers import require_columns
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
@@ -199,11 +200,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             and name not in COLUMN_VALUE_BOUNDS
         ):
             raise location.error(f"the unit '{unit}' is not permitted here, expected the column {right}", name)
-    for name in REQUIRED_COLUMNS:
-        if name not in header:
-            near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
-            hint = f"; '{safe_excerpt(near[0])}' has a similar name" if near else ""
-            raise location.error(f"the required column {name} is missing{hint}")
+    require_columns(header, REQUIRED_COLUMNS, file)
 
 
 def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[int, int]) -> Ints:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ltsim.campaigns.schema import ScenarioSettings
     from ltsim.simulation.scenario import Scenario
 
+CORRECTIONS_NOTE = "Corrections, true value minus reading, +- one sigma."
+"""Note on tables and texts with parameters of instruments, whose sign is that of a correction."""
 QUALITY_MEASURE_BY_GOAL = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
     "targets": ("targets: weighted point error [um]", 1e6),

@@ -7,10 +7,12 @@ import re
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.stochastic_model import _secant_step
 from ltsim.adjustment.verdict import VerdictCase, noise_declaration_advice, verdict_on
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
+from ltsim.reports.sections import result_section
 from tests.networks import network
 
 
@@ -58,3 +60,27 @@ def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch)
     exact = adjust(recording, noise_grouping="instrument").variance_components
     assert [c.noise_factor for c in found] == pytest.approx([c.noise_factor for c in exact], rel=2e-3)
     assert all(0.2 < c.noise_factor < 0.3 for c in exact[:3])
+
+
+@pytest.mark.parametrize(
+    "factors", [(4.0, 4.0, 4.0), (0.3, 0.3, 0.3), (4.0, 1.0, 1.0), (1.0, 1.0, 3.0), (0.3, 1.0, 1.0), (1.0, 0.3, 1.0)]
+)
+def test_after_the_advice_was_followed_once_there_is_no_new_advice(factors: tuple[float, float, float]) -> None:
+    recording = network(faces=2, seed=3)[0]
+    names = ("distance_mm", "distance_ppm", "azimuth_arcsec", "elevation_arcsec")
+    right = recording.setup.instrument.noise
+    wrong = {name: f * getattr(right, name) for name, f in zip(names, (factors[0], *factors), strict=True)}
+    recording = declared(recording, wrong)
+    first = lt.adjust(recording).verdict.sentence
+    figures = dict(re.findall(r"(\w+_(?:mm|ppm|arcsec)) to ([\d.e-]+)", first))
+    assert figures, first
+    second = lt.adjust(declared(recording, {name: float(value) for name, value in figures.items()}))
+    assert second.verdict.case == "clean", second.verdict.sentence
+    assert "[instrument.noise]" not in result_section(second).terminal_text()
+
+
+def declared(recording: Recording, noise: dict[str, float]) -> Recording:
+    """The recording with another declared noise."""
+    instrument = recording.setup.instrument
+    changed = instrument.model_copy(update={"noise": instrument.noise.model_copy(update=noise)})
+    return recording.replace(setup=recording.setup.model_copy(update={"instrument": changed}))

@@ -19,8 +19,11 @@ def test_a_check_names_a_wrong_control_point(
     points = lt.calibrate(recording).target_points.copy() * 1e3
     points[8, 1] += error_mm
     rows = [f"{recording.targets[i]},{x:.6f},{y:.6f},{z:.6f},0.05" for i, (x, y, z) in list(enumerate(points))[::4]]
+    rows += [f"{name},1,2,3,0.05" for name in ("Q1", "Q2")]
     (tmp_path / "control.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
     assert run(["check", str(tmp_path / "rec"), "--control", str(tmp_path / "control.csv")]) == status
-    first = capsys.readouterr().out.split("\n\n")[1]
+    out, err = capsys.readouterr()
+    first = out.split("\n\n")[1]
+    assert "2 points of control.csv are not used, because no pointing measures them: Q1, Q2" in err
     assert first.startswith("No-go" if status else "Go")
     assert not status or recording.targets[8] in first

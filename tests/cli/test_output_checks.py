@@ -214,3 +214,16 @@ def test_a_folder_of_ltsim_takes_other_verbs_results(
     refused(["evaluate", rec, "--out", out], capsys)
     assert run(["evaluate", rec, "--out", out, "--force", "-q"]) == 0
     assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_only_the_changed_file_is_named(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["adjust", str(made / "rec"), "--out", str(tmp_path)]
+    assert run([*command, "-q"]) == 0
+    targets = tmp_path / "targets.csv"
+    targets.write_text(targets.read_text() + "x")
+    message = refused(command, capsys)
+    assert "targets.csv, which was changed" in message
+    assert "calibration.json" not in message
+    message = refused(["calibrate", str(made / "rec"), "--out", str(tmp_path)], capsys)
+    assert "calibration.json, which this command did not write" in message
+    assert "targets.csv" not in message and "which was changed" not in message

@@ -66,7 +66,7 @@ def test_a_table_is_written_and_read_back():
     assert again.csv_text() == text
     with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is not a number"):
         POINTS.parse_csv(text.replace("1000.123490", "one"))
-    with pytest.raises(RecordError, match="the column moved is missing"):
+    with pytest.raises(RecordError, match="the required column moved is missing"):
         POINTS.parse_csv(text.replace("moved", "went"))
 
 

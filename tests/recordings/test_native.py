@@ -164,6 +164,15 @@ def test_a_wrong_header(folder: Path, old: str, new: str, says: str) -> None:
     assert says in refusal(folder)
 
 
+def test_a_missing_column_is_reported_with_the_columns_that_there_are(folder: Path) -> None:
+    edit(folder, "distance_mm", "dist_mm")
+    message = refusal(folder)
+    assert "observations.csv, header: the required column distance_mm is missing" in message
+    assert "azimuth_deg, elevation_deg, dist_mm" in message
+    assert "rename 'dist_mm'" in message
+    assert "row 0" not in message
+
+
 @pytest.mark.parametrize(
     ("column", "change", "says"),
     [

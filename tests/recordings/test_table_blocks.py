@@ -90,6 +90,37 @@ def test_titles_in_several_languages(tmp_path: Path, header: str) -> None:
     np.testing.assert_allclose(recording.covariates["target_height_mm"], [1500.0, 1600.0])
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Station;Point visé;Gisement (gon);Site (gon);Distance inclinée (m)",
+        "Station;Nom;Gisement (gon);Angle de site (gon);Distance selon la pente (m)",
+        "Standpunkt;Ziel;Richtung (gon);Elevationswinkel (gon);Schrägentfernung (m)",
+        "Estación;Nombre;Lectura horizontal [gon];Ángulo de elevación [gon];Distancia inclinada [m]",
+        "Estação;Ponto visado;Leitura horizontal [gon];Ângulo de elevação [gon];Distância inclinada [m]",
+        "Stazione;Nome punto;Angolo Hz [gon];Angolo di elevazione [gon];Distanza obliqua [m]",
+    ],
+)
+def test_titles_of_elevations_in_several_languages(tmp_path: Path, header: str) -> None:
+    rows = ["A;P1;10,1234;1,5;12,3456", "A;P2;120,1234;-1,5;13,3456"]
+    recording = read_text(tmp_path / "a.csv", "\n".join([header, *rows]) + "\n")
+    assert (recording.stations, recording.targets) == (("A",), ("P1", "P2"))
+    np.testing.assert_allclose(
+        recording.readings,
+        np.array([[12.3456, 389.8766, 1.5], [13.3456, 279.8766, -1.5]]) * [1, np.pi / 200, np.pi / 200],
+    )
+
+
+def test_an_english_site_is_no_elevation(tmp_path: Path) -> None:
+    header = "Site;Station;Point;Hz [gon];Zenith [gon];Slope distance [m]"
+    rows = ["hall;A;P1;10,1234;98,5;12,3456", "hall;A;P2;120,1234;101,5;13,3456"]
+    recording = read_text(tmp_path / "a.csv", "\n".join([header, *rows]) + "\n")
+    assert recording.labels["Site"] == ("hall", "hall")
+    np.testing.assert_allclose(recording.readings[:, 2], np.array([1.5, -1.5]) * np.pi / 200)
+    points = read_text(tmp_path / "b.csv", "Site;Station;Name;X [mm];Y [mm];Z [mm]\n" + "hall;A;P1;1;2;3\n" * 1)
+    assert points.labels["Site"] == ("hall",)
+
+
 def test_each_word_has_one_role() -> None:
     roles: dict[str, set[str]] = {}
     for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values()):

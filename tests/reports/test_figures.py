@@ -19,6 +19,7 @@ from matplotlib.text import Text
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment.evaluation.criteria import CRITERIA_TABLE
 from ltsim.adjustment.fieldcheck.check import check as check_of
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration_series import ChiSquareEntry
 from ltsim.calibration.history import ParameterHistory
 from ltsim.calibration.schema import ParameterEntry
@@ -46,6 +47,7 @@ from ltsim.reports.sections.campaign_coverage import coverage_sentence
 from ltsim.reports.workshop_scene import workshop_from_adjustment, workshop_from_scenario
 from ltsim.simulation.scenario import load_scenario
 from tests.families import family
+from tests.networks import network
 from tests.reports import samples
 
 DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
@@ -512,3 +514,18 @@ def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
 def test_no_figure_of_the_results_has_other_line_colours_than_the_common_ones(root: Path) -> None:
     for file in [*root.glob("results/**/*.svg"), *root.glob("docs/**/*.svg")]:
         assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", file.read_text())), file
+
+
+def test_a_check_shows_the_readings_on_which_a_cause_was_decided() -> None:
+    recording, _ = network(faces=2, seed=23)
+    readings = recording.readings.copy()
+    assert not _shows_measured_readings(check_of(recording))
+    readings[recording.station == 2, 0] += 1e-3 * np.linspace(0, 1, int((recording.station == 2).sum()))
+    changed = check_of(recording.with_readings(readings))
+    assert any(test.is_fault for test in changed.tests)
+    assert _shows_measured_readings(changed)
+
+
+def _shows_measured_readings(check: Check) -> bool:
+    labels = {line.get_label() for axes in points.field_check_figure(check).axes for line in axes.lines}
+    return "as measured" in labels

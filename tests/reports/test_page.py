@@ -290,6 +290,17 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
     assert any(load.startswith("data:image/svg") for load in reader.loads)
 
 
+def test_the_first_screen_of_a_diagnosis_is_short_and_the_details_follow(tmp_path: Path) -> None:
+    folder = samples.diagnosis_folder(tmp_path)
+    document, told = document_of_folder(folder), json.loads((folder / "diagnosis.json").read_text())
+    assert len(document.summary) < 400
+    assert document.summary.startswith("The readings contradict the model: ")
+    assert "ause: " in document.summary and "probability" in document.summary
+    assert document.summary.endswith(f"What to do: {document.next_actions[0]}")
+    details = next(block for section in document.sections for block in section.blocks if block.title == "Details")
+    assert told["summary"][1:] in details.text
+
+
 def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp_path: Path) -> None:
     target = samples.diagnosis_folder(tmp_path)
     told = json.loads((target / "diagnosis.json").read_text())
@@ -297,7 +308,7 @@ def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp
     told["findings"] = [told["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
     (target / "diagnosis.json").write_text(json.dumps(told))
     *_, use = document_of_folder(target).next_actions
-    assert use.endswith(" The coordinates of T05 are from before the motion.")
+    assert use.endswith(" The coordinates of T05 refer to the time before the motion.")
 
 
 def test_next_measurement_stands_first(tmp_path: Path) -> None:

@@ -133,18 +133,22 @@ def station_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: b
 
 
 def zero_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: bool) -> str:
-    """Sentence on the drift of range zero and vertical index of an instrument during its occupation."""
+    """Sentence on the drift of range zero and vertical index of an instrument during its occupation.
+
+    The estimates of the fit are corrections (true value minus reading); the sentence states the change of the readings.
+    """
     duration = float(np.ptp(recording.time))
     drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     change_texts = [
-        f"{zero_name} by {with_sigma(value * duration / unit, sigma * duration / unit, unit_name)}"
+        f"{zero_name} by {with_sigma(-value * duration / unit, sigma * duration / unit, unit_name)}"
         for value, sigma, (zero_name, unit_name, unit, max_sigma) in zip(
             fit.estimates, drift_sigmas, ZERO_DRIFT_UNITS_AND_MAX_SIGMAS, strict=True
         )
         if duration > 0.0 and sigma * duration < max_sigma
     ]
     unknown_drift_text = "; the repeated pointings hardly determine its size"
-    drift_text = f" ({', '.join(change_texts)} over the occupation)" if change_texts else unknown_drift_text
+    change_text = f" ({', '.join(change_texts)} over the occupation; positive: the readings grow with time)"
+    drift_text = change_text if change_texts else unknown_drift_text
     verdict = "no drift of the instrument detected" if passed else "the instrument drifts"
     return f"{recording.stations[0]}: {verdict}{drift_text}"
 

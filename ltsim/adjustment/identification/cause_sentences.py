@@ -23,7 +23,8 @@ from ltsim.adjustment.identification.reference_misclosures import misclosure_est
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
-from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.times import interval_text
 
@@ -91,7 +92,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     effect = hypothesis.model_change.effect
     if hypothesis.kind == "reference-scale":
         causes = "the declared temperature or expansion, or the scale of the distances, is wrong"
-        return f"The reference lengths and the distances differ in scale by {size_text}: {causes}."
+        reason = temperature_errors_text(float(values[0]))
+        return f"The reference lengths and the distances differ in scale by {size_text}: {causes} ({reason})."
     if hypothesis.kind == "reflector-radius":
         cause = smr_exchange_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
@@ -126,7 +128,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     )
     axes = f" along the axes of {first_station}" if is_frame_of_station else ""
     seating = _equivalent_seating_text(fit, effect)
-    return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes}){seating}."
+    motion = f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes}){seating}."
+    return f"{motion} {moved_coordinates_sentence(hypothesis.targets)}"
 
 
 def _equivalent_seating_text(fit: NetworkFit, motion: TargetMoved) -> str:
@@ -176,19 +179,26 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
     what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
     change_text, size_text = (with_sigma(x, estimate["sigma"], estimate["unit"]) for x in (number, abs(number)))
     if hypothesis.kind == "constant-step":
-        return f"{what} changed by {change_text} {_interval_text(fit, hypothesis)}: {cause}."
+        direction = "larger" if number > 0 else "smaller"
+        return (
+            f"{what} changed by {change_text} {_interval_text(fit, hypothesis)} "
+            f"(the readings are {direction} afterwards): {cause}."
+        )
     if hypothesis.kind == "constant-drift":
         assert isinstance(hypothesis.model_change, ReadingShiftChange)
         assert isinstance(hypothesis.model_change.effect, ReadingShift)
         interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
         if hypothesis.model_change.effect.drift_interval == "recording":
             interval = "the recording"
-        return f"{what} drifted by {change_text} during {interval}: {cause}."
+        direction = "grow" if number > 0 else "decrease"
+        return f"{what} drifted by {change_text} during {interval} (the readings {direction} with time): {cause}."
     if hypothesis.acts_on != "distance":
         return f"{what} are {size_text} too {'large' if number > 0 else 'small'}: {cause}."
     if hypothesis.kind == "constant-offset":
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
+    if hypothesis.kind == "scale-error":
+        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=True)})"
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 

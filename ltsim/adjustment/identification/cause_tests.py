@@ -82,7 +82,9 @@ class CauseTest(Entry):
     alternatives: tuple[AlternativeCause, ...] = ()
     """Hypotheses that were fitted in place of the tested hypothesis and have a posterior probability above 1 %."""
     accepted: bool = True
-    """True if the hypothesis is selected, so that it is part of the model of the result."""
+    """True if the hypothesis is selected as a cause of the misfit."""
+    is_in_model: bool = True
+    """True if the adjusted model of the result contains this cause, so that the coordinates are corrected for it."""
     sentence: str = ""
     """Result of the test as a sentence."""
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactorChange
-from ltsim.adjustment.stochastic_model import noise_declaration_texts
+from ltsim.adjustment.stochastic_model import converged_variance_components, noise_declaration_texts
 from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
+DECLARE_NOISE_TEXT = "declare this noise in the set-up"
+"""Advice on a noise hypothesis if its values for `[instrument.noise]` are unknown."""
 NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
 """Texts for the readings on which a noise hypothesis acts, for hypotheses on more than one observable."""
 
@@ -41,12 +45,13 @@ def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     assert isinstance(hypothesis.model_change, NoiseFactorChange)
     recording, mask = fit.fit_input.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
-        return "declare this noise in the set-up"
-    factors = fit.problem.reading_sigmas / recording.reading_sigmas()
+        return DECLARE_NOISE_TEXT
+    declared = replace(fit.problem, reading_sigmas=recording.reading_sigmas())
+    factors = {c.observable: c.noise_factor for c in converged_variance_components(declared, fit.state)}
     settings = [
         setting
         for k, observable in enumerate(OBSERVABLES)
-        if mask[:, k].any()
-        for setting in noise_declaration_texts(recording, observable, float(np.median(factors[mask[:, k], k])))
+        if mask[:, k].any() and observable in factors
+        for setting in noise_declaration_texts(recording, observable, factors[observable])
     ]
-    return f"set {names_text(settings, len(settings))} in [instrument.noise]"
+    return f"set {names_text(settings, len(settings))} in [instrument.noise]" if settings else DECLARE_NOISE_TEXT

@@ -1,9 +1,10 @@
 """Recommended next actions after identified causes of a misfit, and sentence on the errors that the model corrects."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.notation import count_text, names_text
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 
 RECOMMENDATION_BY_CAUSE_KIND = {
     "outlier": "Measure again {rows}.",
@@ -103,20 +104,27 @@ def corrected_faults(tests: Iterable[CauseTest]) -> list[CauseTest]:
     return [test for test in tests if test.is_fault and test.kind != "outlier"]
 
 
-def corrections_sentence(tests: Iterable[CauseTest], excluded_reference_names: Collection[str]) -> str:
-    """Sentence on the identified errors that the adjusted model of a result corrects; empty if there are none.
+def corrections_sentence(tests: Iterable[CauseTest]) -> str:
+    """Sentences on the identified errors that the adjusted model of a result corrects, and on those that remain in it.
 
-    `excluded_reference_names` are the names of the reference values that the adjustment excludes.
+    They are empty without identified errors.
     """
     faults = [test for test in corrected_faults(tests) if test.kind != "noise-level"]
-    for test in faults:
-        if test.kind == "reference-value" and not set(excluded_reference_names).intersection(test.where.targets):
-            remedy = "ltsim calibrate also estimates the instrument constants and tests the reference values again"
-            return f"{test.sentence} This adjustment still uses this value; {remedy}."
-    if not faults:
-        return ""
-    places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    place_text = f" at {names_text(list(places))}" if places else ""
-    dof = sum(test.dof for test in faults if test.sigma is not None)
-    degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
-    return f"The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
+    modelled = [test for test in faults if test.is_in_model]
+    sentences = [_remaining_error_sentence(test) for test in faults if not test.is_in_model]
+    if modelled:
+        places = dict.fromkeys(name for test in modelled for name in (*test.where.stations, *test.where.targets))
+        place_text = f" at {names_text(list(places))}" if places else ""
+        dof = sum(test.dof for test in modelled if test.sigma is not None)
+        degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
+        sentences.append(f"The model corrects {count_text(len(modelled), 'error')}{place_text}{degrees}.")
+    if moved := [name for test in modelled if test.kind == TargetMoved.name for name in test.where.targets]:
+        sentences.append(moved_coordinates_sentence(moved))
+    return " ".join(sentences)
+
+
+def _remaining_error_sentence(test: CauseTest) -> str:
+    """Sentences on an identified error that remains in the coordinates of a result."""
+    if test.kind == "reference-value":
+        return f"{test.sentence} This result still uses this value: correct it, and evaluate the recording again."
+    return f"{test.sentence} This error remains in the coordinates."

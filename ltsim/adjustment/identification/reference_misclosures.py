@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CauseHypothesis, ReferenceOmission
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
-from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
+from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND, length_sigma
 from ltsim.adjustment.reference_values import common_scale_reference, reference_values
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
@@ -32,8 +32,7 @@ def misclosure_estimate(fit: NetworkFit, hypothesis: CauseHypothesis) -> dict[st
     misclosure, sigma = fit.misclosure_of(value), None
     if (error_and_covariance := reference_error_and_covariance(fit, hypothesis)) is not None:
         misclosure, covariance = error_and_covariance
-        variance = float(misclosure @ covariance @ misclosure)
-        sigma = float(np.sqrt(max(variance, 0.0))) / max(float(np.linalg.norm(misclosure)), 1e-300) / factor
+        sigma = length_sigma(misclosure, covariance) / factor
     size = float(np.linalg.norm(misclosure))
     return {"estimate": size / factor, "sigma": sigma or None, "unit": unit}
 

@@ -1,9 +1,11 @@
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
 
 from ltsim.core.arrays import Floats
+from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetDisplacementEffect
@@ -20,6 +22,11 @@ PLAUSIBLE_TARGET_STEP = 60 * MICROMETRE
 """Plausible sudden displacement [m] of a target along each axis."""
 PLAUSIBLE_TARGET_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 """Plausible rate [m/s] at which a target creeps along each axis."""
+
+
+def moved_coordinates_sentence(target_names: Sequence[str]) -> str:
+    """Sentence on the time to which the coordinates of targets with a `TargetMoved` in the model refer."""
+    return f"The coordinates of {names_text(target_names)} refer to the time before the motion."
 
 
 @dataclass(frozen=True)

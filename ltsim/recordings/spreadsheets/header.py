@@ -12,6 +12,7 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.spreadsheets.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
+    FALLBACK_TITLES,
     FOREIGN_TITLES_BY_LANGUAGE,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_FIRST_WORDS,
@@ -65,16 +66,7 @@ UNITS_BY_ROLE = {
 }
 """Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
 have this role."""
-_SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
-"""Titles of columns of names or numbers of set-ups."""
-_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
-"""Titles of columns that number the times at which the instrument occupied a survey mark."""
-FALLBACK_TITLES = {
-    "target": ("nr", "nummer", "no", "id"),
-    "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
-}
-"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role."""
-ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup"}
+ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": ""}
 """Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
 role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80
@@ -170,7 +162,12 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     is_polar = _count_reading_kinds(candidates) > 1
     titles_by_role = {
-        role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES
+        role: {
+            title_words_and_unit(c.title)[0]
+            for c in candidates
+            if c.role == role or {c.role, role} <= {*VERTICAL_ROLES}
+        }
+        for role in FALLBACK_TITLES
     }
     columns: list[TableColumn] = []
     used_roles: set[tuple[str, int]] = set()
@@ -179,7 +176,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
         if assigned.face and assigned.role not in two_face_roles:
             assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
-        if title_words_and_unit(assigned.title)[0] in fallback and not titles_by_role[assigned.role] <= {*fallback}:
+        if title_words_and_unit(assigned.title)[0] in fallback and (
+            not titles_by_role[assigned.role] <= {*fallback} or (assigned.role in VERTICAL_ROLES and not is_polar)
+        ):
             assigned = replace(assigned, role=ROLES_OF_UNUSED_FALLBACK_TITLES[assigned.role])
         if assigned.role and (
             (assigned.role, assigned.face) in used_roles

@@ -30,9 +30,10 @@ TITLES_BY_ROLE = {
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
     "vertical": "v va vz vertical verticalangle vertikalwinkel vwinkel vangle vzangle vcircle verticalcircle",
     "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
-    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
+    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle elevationswinkel",
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
-    "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist",
+    "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist "
+    "schragentfernung schraegentfernung raumdistanz",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
     "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
     "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
@@ -63,44 +64,61 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "
         "positioninstrument positiondelinstrument miseenstation",
         "round": "tour epoque",
-        "target": "pointvise visee vise cible",
+        "target": "pointvise visee vise cible nom nompoint nomdupoint",
         "horizontal": "anglehorizontal anglehz lecturehz lecturehorizontale directionhorizontale gisement",
         "vertical": "anglevertical lectureverticale",
-        "zenith": "anglezenithal distancezenithale",
-        "distance": "distanceinclinee distanceoblique distancesuivantpente distancepente",
+        "zenith": "anglezenithal distancezenithale zenithal",
+        "elevation": "angledesite anglesite site angledelevation angledehauteur hauteurangulaire",
+        "distance": "distanceinclinee distanceoblique distancesuivantpente distancepente distancespatiale "
+        "distanceselonlapente distinclinee distincl",
         "flat": "distancehorizontale distancereduite",
+        "time": "heure horodatage",
         "instrument_height_mm": "hauteurinstrument hauteurdelinstrument hauteurappareil hauteurstation",
         "target_height_mm": "hauteurprisme hauteurduprisme hauteurcible hauteurvoyant hauteurreflecteur",
+        "air_temperature_c": "temperatureair temperaturedelair",
+        "air_pressure_hpa": "pression pressionatmospherique",
+        "relative_humidity_pct": "humidite humiditerelative",
     },
     "Spanish and Portuguese": {
         "station": "estacion puntoestacion puntodeestacion estacao estacionamiento estacioninstrumento "
-        "estaciondelinstrumento posicioninstrumento posiciondelinstrumento",
+        "estaciondelinstrumento posicioninstrumento posiciondelinstrumento pontoestacao pontodeestacao",
         "round": "ronda vuelta epoca",
-        "target": "punto puntovisado puntoobservado objetivo ponto pontovisado alvo",
-        "horizontal": "angulohorizontal lecturahorizontal",
-        "azimuth": "acimut",
-        "vertical": "angulovertical lecturavertical",
+        "target": "punto puntovisado puntoobservado objetivo ponto pontovisado pontoobservado alvo nombre nome",
+        "horizontal": "angulohorizontal angulohz lecturahorizontal lecturahz direccionhorizontal leiturahorizontal "
+        "direcaohorizontal",
+        "azimuth": "acimut azimute",
+        "vertical": "angulovertical lecturavertical leituravertical",
         "zenith": "angulocenital distanciacenital cenital angulozenital distanciazenital",
-        "distance": "distanciageometrica distanciainclinada distancia",
-        "flat": "distanciahorizontal distanciareducida",
+        "elevation": "angulodeelevacion anguloelevacion angulodealtura elevacion angulodeelevacao elevacao",
+        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distinclinada",
+        "flat": "distanciahorizontal distanciareducida distanciareduzida",
         "date": "fecha",
-        "time": "hora",
+        "time": "hora horario",
         "instrument_height_mm": "alturainstrumento alturadelinstrumento alturadeinstrumento alturadoinstrumento "
         "alturaaparato",
-        "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo",
+        "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo "
+        "alturadoalvo",
+        "air_temperature_c": "temperaturadelaire temperaturaaire temperaturadoar",
+        "air_pressure_hpa": "presion presionatmosferica pressao pressaoatmosferica",
+        "relative_humidity_pct": "humedad humedadrelativa umidade umidaderelativa humidaderelativa",
     },
     "Italian": {
         "station": "stazione puntostazione puntodistazione stazionestrumento stazionedellostrumento "
         "posizionestrumento posizionedellostrumento",
         "round": "giro turno",
-        "target": "puntocollimato puntobattuto bersaglio",
-        "horizontal": "angoloorizzontale angoloazimutale letturaorizzontale direzioneorizzontale orizzontale",
+        "target": "puntocollimato puntobattuto bersaglio nomepunto",
+        "horizontal": "angoloorizzontale angolohz angoloazimutale letturaorizzontale direzioneorizzontale orizzontale",
         "vertical": "angoloverticale letturaverticale",
         "zenith": "angolozenitale distanzazenitale zenitale",
-        "distance": "distanzainclinata distanza",
+        "elevation": "angolodielevazione angolodialtezza angolodisito elevazione",
+        "distance": "distanzainclinata distanza distanzageometrica distanzaobliqua distinclinata",
         "flat": "distanzaorizzontale distanzaridotta",
+        "time": "ora orario",
         "instrument_height_mm": "altezzastrumento altezzadellostrumento altezzastazione",
         "target_height_mm": "altezzaprisma altezzadelprisma altezzamira altezzasegnale",
+        "air_temperature_c": "temperaturadellaria temperaturaaria",
+        "air_pressure_hpa": "pressione pressioneatmosferica",
+        "relative_humidity_pct": "umidita umiditarelativa",
     },
     "Dutch": {
         "station": "standplaats opstelpunt opstelling",
@@ -242,3 +260,15 @@ STATION_TITLE_LAST_WORDS = (
 """Last words of titles of columns of stations, such as "position" in "instrument position"."""
 NUMBER_TITLE_ENDINGS = ("no", "nr", "num", "number", "nummer", "id", "name")
 """Words that may end the title of a column of stations or rounds, such as "no" in "station no"."""
+_SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
+"""Titles of columns of names or numbers of set-ups."""
+_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
+"""Titles of columns that number the times at which the instrument occupied a survey mark."""
+FALLBACK_TITLES = {
+    "target": ("nr", "nummer", "no", "id"),
+    "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
+    "elevation": ("site",),
+}
+"""Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
+vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
+and English for a place."""

@@ -5,8 +5,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.adjustment.fieldcheck.result import Check
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation
+from ltsim.adjustment.fieldcheck.result import Check, SetupCheck
 from ltsim.measurands.comparison import Comparison
+from ltsim.physics.model.construction import declared_construction
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, draw_labels
 
@@ -187,10 +189,22 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
 
 def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     """Draw the rms whitened residual of each pointing over time, with the intervals in which a tracker moved."""
+    is_corrected = False
     seconds_per_unit, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
     for i, setup in enumerate(check.arrays.setup_checks):
         if setup.setup_model is None:
             continue
+        if (measured := _occupation_as_measured(check, setup)) is not None:
+            ax.plot(
+                measured.recording.time / seconds_per_unit,
+                np.sqrt(np.mean(measured.whitened_residuals**2, axis=1)),
+                "o",
+                ms=5,
+                mfc="none",
+                color=style.RED,
+                label=None if is_corrected else "as measured",
+            )
+            is_corrected = True
         misfit = np.sqrt(np.mean(setup.setup_model.whitened_residuals**2, axis=1))
         label = style.shortened_name(setup.station, MAX_LEGEND_NAME_LENGTH) if i < MAX_LEGEND_STATIONS else None
         ax.plot(
@@ -219,7 +233,7 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
             )
             has_label = True
     style.set_grid(ax)
-    ax.set_title("Misfit of each pointing")
+    ax.set_title("Misfit of each pointing (dots: corrected)" if is_corrected else "Misfit of each pointing")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
@@ -227,3 +241,16 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
         ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
     if names := ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper right", ncols=style.n_legend_columns(names, 5))
+
+
+def _occupation_as_measured(check: Check, setup: SetupCheck) -> StationOccupation | None:
+    """Model of the readings of a set-up as they were measured; None if the check did not correct them.
+
+    A no-go because of an identified cause is decided on these readings, and the tests of the set-up on the corrected
+    ones.
+    """
+    assert setup.occupation is not None
+    measured = check.arrays.recording.select(setup.row_numbers - 1)
+    if np.array_equal(measured.readings, setup.occupation.recording.readings, equal_nan=True):
+        return None
+    return StationOccupation.from_recording(measured, declared_construction(measured))

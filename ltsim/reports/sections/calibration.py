@@ -47,6 +47,7 @@ from ltsim.reports.document_model import (
     table_blocks,
 )
 from ltsim.reports.formatting import (
+    CORRECTIONS_NOTE,
     capitalised_sentence,
     count_text,
     global_test_verdict,
@@ -170,7 +171,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None]
+        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None and test.is_in_model]
         if shifts:
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
@@ -184,16 +185,9 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             if n_rejected
             else ""
         )
-    sentence += f".{_misfit_causes_sentence(content)}{_larger_noise_sentence(content)}"
+    sentence += f". {corrections_sentence(content.tests)}".rstrip() + _larger_noise_sentence(content)
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{sentence}{accuracy}".rstrip()
-
-
-def _misfit_causes_sentence(content: Calibration) -> str:
-    """Sentence on the identified causes of a misfit, with a leading blank; empty without such causes."""
-    excluded_names = [entry.name for entry in content.reference_values if entry.excluded]
-    sentence = corrections_sentence(content.tests, excluded_names)
-    return f" {sentence}" if sentence else ""
 
 
 def _has_explaining_noise(content: Calibration) -> bool:
@@ -316,7 +310,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
         true_values[n] / SI_PER_UNIT[truth.parameter_units[n]] if truth and n in true_values else None for n in names
     ]
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
-    note = "Corrections, true value minus reading, +- one sigma."
+    note = CORRECTIONS_NOTE
     if any(p.applied_value is not None for p in rows):
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
@@ -342,7 +336,9 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    if content.method == "adjustment" and any(test.sigma is not None for test in corrected_faults(content.tests)):
+    if content.method == "adjustment" and any(
+        test.sigma is not None and test.is_in_model for test in corrected_faults(content.tests)
+    ):
         text += " It is computed from the readings as they are, with the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)

@@ -25,6 +25,7 @@ from ltsim.diagnosis.schema import (
 )
 from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
 from ltsim.physics.effects import effect_title, parameter_text
+from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -40,8 +41,9 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import capitalised_sentence, count_text, names_text
+from ltsim.reports.formatting import CORRECTIONS_NOTE, capitalised_sentence, count_text, names_text
 from ltsim.reports.residuals import Residuals
+from ltsim.reports.sections.diagnosis_answer import diagnosis_answer, parameter_meanings_note
 from ltsim.reports.sections.network import (
     AdjustmentsWithoutAndWithParameters,
     adjustments_without_and_with_parameters,
@@ -93,6 +95,8 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
             *blocks,
         ]
     n_side_by_side_blocks = len(blocks)
+    if content.findings:
+        blocks.append(NoteBlock("Details", capitalised_sentence(content.summary)))
     for finding_number, finding in enumerate(content.findings, start=1):
         blocks += _finding_blocks(
             finding, finding_number, capitalised_sentence(content.summary), adjustments, (before, after)
@@ -103,7 +107,10 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     model_text = ", with the findings in the model" if content.findings else ""
     if constants := significant_instrument_constant_texts(content.instruments):
         blocks.append(
-            NoteBlock(f"Most significant constants of the instruments{model_text}", f"{'; '.join(constants)}.")
+            NoteBlock(
+                f"Most significant constants of the instruments{model_text}",
+                f"{'; '.join(constants)}. {CORRECTIONS_NOTE}",
+            )
         )
     blocks += _undetectable_tables(content)
     n_open_blocks = len(blocks)
@@ -113,13 +120,15 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}{model_text}"
-        blocks += entries_table_blocks(title, entry.parameters, "name=constant", "value+-sigma", "unit")
+        blocks += entries_table_blocks(
+            title, entry.parameters, "name=constant", "value+-sigma", "unit", note=CORRECTIONS_NOTE
+        )
         blocks += determined_combination_tables(f"Determined combinations{name}", entry.determined)
     blocks += _detectable_size_tables(content)
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
     )
-    answer, simulation_notice = capitalised_sentence(content.summary), ""
+    next_actions, simulation_notice = _next_actions(content), ""
     if truth is not None and truth.effects:
         injected = names_text(
             [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
@@ -127,10 +136,11 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         simulation_notice = f"This recording is simulated, with {injected} injected. "
         simulation_notice += "The diagnosis does not read the injected values."
     return Section(
-        f"Diagnosis: {recording_title}" if recording_title else "Diagnosis of a tracker network", "Diagnosis", answer,
+        f"Diagnosis: {recording_title}" if recording_title else "Diagnosis of a tracker network", "Diagnosis",
+        diagnosis_answer(content, next_actions),
         assessment_of(content.verdict == "consistent"), _key_figures(content), blocks,
         n_open_blocks=n_open_blocks, n_side_by_side_blocks=n_side_by_side_blocks, n_terminal_blocks=n_open_blocks,
-        next_actions=_next_actions(content), simulation_notice=simulation_notice,
+        next_actions=next_actions, simulation_notice=simulation_notice,
     )  # fmt: skip
 
 
@@ -146,11 +156,9 @@ def _next_actions(content: Diagnosis) -> list[str]:
     inspections = [inspection_action(finding) for finding in content.findings]
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
-        name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets
+        name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
-    use_sentence += (
-        f" The coordinates of {names_text(moved_targets)} are from before the motion." if moved_targets else ""
-    )
+    use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [
         *separating_measurements[:1],
         *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
@@ -255,7 +263,12 @@ def _finding_blocks(
         *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
     ]
     blocks += entries_table_blocks(
-        f"Finding {finding_number} in figures", renamed_parameters, "name=parameter", "value+-sigma", "unit"
+        f"Finding {finding_number} in figures",
+        renamed_parameters,
+        "name=parameter",
+        "value+-sigma",
+        "unit",
+        note=parameter_meanings_note(finding),
     )
     return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", lines)]
 

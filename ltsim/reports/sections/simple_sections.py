@@ -76,6 +76,8 @@ def check_section(content: Check, context: SectionContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
+    if any(test.is_fault for test in content.tests):
+        caption += " Rings: readings as measured, on which the failed causes were decided; dots: corrected for them."
     blocks: list[Block] = [] if file is None else [PictureBlock("All readings", lambda: read_text(file), caption)]
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):

@@ -271,6 +271,59 @@ def test_a_target_that_moved_is_in_the_model_of_a_calibration() -> None:
     assert f"The model corrects 1 error at {targets[0]}, with 3 degrees" in result_section(calibrated).terminal_text()
 
 
+def test_every_verb_says_to_which_time_the_coordinates_of_a_moved_target_refer() -> None:
+    recording, (_, targets) = moved_target(1e-3)
+    sentence = f"The coordinates of {targets[0]} refer to the time before the motion."
+    for result in (
+        lt.adjust(recording),
+        lt.calibrate(recording, advise=False),
+        lt.check(recording),
+        lt.diagnose(recording, held_out=False),
+    ):
+        section = result_section(result)
+        assert sentence in section.terminal_text(), type(result)
+        assert sentence in result.text(), type(result)
+
+
+def with_control_points(recording: Recording, error_mm: float) -> Recording:
+    """The recording with six control points, of which T13 has a wrong coordinate."""
+    targets = dict(recording.setup.targets)
+    for name in ("T01", "T05", "T10", "T13", "T19", "T22"):
+        x, y, z = (1e3 * mesh()[recording.targets.index(name)]).tolist()
+        place = (x, y + error_mm * (name == "T13"), z)
+        targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.02})
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+
+
+@pytest.mark.parametrize("other_cause", [None, ball_at_a_target, moved_target])
+def test_only_what_the_model_contains_is_called_corrected(other_cause: Cause | None) -> None:
+    recording, (_, places) = (workshop(), ((), ())) if other_cause is None else other_cause(1e-3)
+    recording = with_control_points(recording, 2.0)
+    for result in (lt.adjust(recording), lt.calibrate(recording, advise=False)):
+        assert result.adjustment is not None
+        used = result.adjustment.problem.control_rows.point_indices
+        is_used = recording.targets.index("T13") in used.tolist()
+        (test,) = (t for t in result.tests if t.kind == "reference-value")
+        assert test.is_in_model == (not is_used)
+        text = result_section(result).terminal_text()
+        assert ("This result still uses this value" in text) == is_used
+        assert "ltsim calibrate" not in text.split("Verdict")[0]
+        corrected = ["T13"] * (not is_used) + list(places)
+        count = f"The model corrects {len(corrected)} error{'s' if len(corrected) > 1 else ''} at "
+        assert count in text and all(name in text for name in corrected)
+
+
+def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
+    recording = with_control_points(workshop(), 2.0)
+    result = lt.adjust(recording)
+    assert result.adjustment is not None
+    (rejected,) = result.adjustment.rejected_references
+    (test,) = (t for t in lt.diagnose(recording, held_out=False).tests if t.kind == "reference-value")
+    size, sigma = (float(text) for text in rejected.error_text.removesuffix(" mm").split(" +- "))
+    assert size == pytest.approx(test.estimate, rel=2e-3)
+    assert sigma == pytest.approx(test.sigma, rel=0.05)
+
+
 def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Path) -> None:
     recording, (_, targets) = exchanged_reference_points(0.0)
     folder = tmp_path / "adjusted"
