@@ -4,14 +4,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar, cast
 
-import llvmlite.binding
-import numba
-from numba import types
-from numba.core.caching import FunctionCache
-from numba.core.registry import cpu_target
-from numba.extending import overload
-
 from ltsim.core.arrays import Floats
+from ltsim.core.library_settings import without_settings_file
+
+NUMBA_SETTINGS_FILE_NAME = ".numba_config.yaml"
+"""Name of Numba's file of settings."""
+with without_settings_file(NUMBA_SETTINGS_FILE_NAME):
+    import llvmlite.binding
+    import numba
+    import numba.core.config
+    from numba import types
+    from numba.core.caching import FunctionCache
+    from numba.core.registry import cpu_target
+    from numba.extending import overload
+numba.core.config._config_fname = ""  # no file is read at later compilations
 
 ReturnType = TypeVar("ReturnType")
 """Type of the result of a function that is compiled."""

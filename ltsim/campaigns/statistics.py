@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import shutil
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import duckdb
@@ -40,7 +43,7 @@ from ltsim.recordings.result_file import Entry
 NORMAL_QUANTILE_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
 DATABASE_SETTINGS: dict[str, Any] = {
-    "threads": 1,
+    "threads": 1,  # sums are computed in the same order in each run, so that no digit of a table changes
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
@@ -94,8 +97,8 @@ class CampaignStatistics:
         shards = store.shard_paths(max_shards)
         if not shards:
             raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
-        # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": database_memory_limit(shards)})
+        self._set_temporary_folder()
         source = f"read_parquet([{', '.join(map(path_as_sql_text, shards))}], union_by_name = true)"
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
@@ -114,6 +117,15 @@ class CampaignStatistics:
             raise _damaged_folder_error(folder, problem) from None
         self.folder = folder
         self._cache: dict[str, list[tuple[Any, ...]]] = {}
+
+    def _set_temporary_folder(self) -> None:
+        """Setting of a folder for what exceeds the memory of the database, removed together with this object.
+
+        The default would be `.tmp` in the working folder, even if it is a link.
+        """
+        temporary_folder = mkdtemp(prefix="ltsim-")
+        weakref.finalize(self, shutil.rmtree, temporary_folder, ignore_errors=True)
+        self._database.execute("SET temp_directory = ?", [temporary_folder])
 
     def _cells(self) -> dict[str, list[Any]]:
         """Columns of the table `cells`: index, label and factor levels of each cell."""

@@ -16,11 +16,14 @@ from typer.core import TyperCommand, TyperGroup
 from ltsim.cli.options import typer_command
 from ltsim.cli.terminal import discard_output, flush_streams, prepare_streams, write_line
 from ltsim.core.errors import LtsimError, UserInterruptError, spell_options_as_flags
+from ltsim.recordings.files import safe_excerpt
 
 INVALID_INPUT_STATUS = 2
 """Exit status after invalid input or wrong usage."""
 INTERNAL_ERROR_STATUS = 70
 """Exit status after an internal error."""
+MAX_QUOTED_PATH_LENGTH = 80
+"""Largest number of characters of an impossible path in a message."""
 INTERRUPTED_STATUS = 130
 """Exit status after an interruption by the user: 128 plus the number of the signal (2 for Ctrl-C)."""
 UNWRITABLE_OUTPUT_ERRNOS = (
@@ -28,6 +31,9 @@ UNWRITABLE_OUTPUT_ERRNOS = (
     errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
 """Error numbers of the operating system that mean that an output cannot be written (disk full, no permission)."""
+
+IMPOSSIBLE_PATH_ERRNOS = (errno.ENAMETOOLONG, errno.ELOOP)
+"""Error numbers of the operating system that mean that no file can have this path."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -183,10 +189,16 @@ def _report_interruption(remark: str = "no partial file remains") -> int:
 
 
 def _report_failure(error: Exception) -> int:
-    """Exit status after an internal error or after output that cannot be written (disk full); prints the error."""
+    """Exit status after an error that is no LtsimError, which is printed.
+
+    It is an internal error, an output that cannot be written (disk full), or a path that no file can have.
+    """
     if isinstance(error, OSError) and error.errno in UNWRITABLE_OUTPUT_ERRNOS:
         discard_output(sys.stdout)
         return _report_invalid_input(f"{error.filename or 'the output'} cannot be written ({error.strerror})")
+    if isinstance(error, OSError) and error.errno in IMPOSSIBLE_PATH_ERRNOS:
+        path_text = safe_excerpt(str(error.filename), MAX_QUOTED_PATH_LENGTH)
+        return _report_invalid_input(f"{path_text} cannot be opened ({error.strerror}); give the path of a file")
     write_line("".join(traceback.format_exception(error)).rstrip(), sys.stderr)
     cause = "the memory is not sufficient" if isinstance(error, MemoryError) else "internal error of ltsim"
     write_line(f"error: {cause} ({type(error).__name__}); please report it with the lines above", sys.stderr)

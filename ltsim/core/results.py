@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-FORMULA_START_CHARACTERS = ("=", "+", "-", "@", "'")
-"""Characters at the start of a text that a spreadsheet may take for a formula; the CSV file has an apostrophe before
-them."""
+INTERPRETED_START_CHARACTERS = ("=", "+", "-", "@", "'", "#")
+"""Characters at the start of a text that a spreadsheet may take for a formula, or a reader for a comment (#); the CSV
+file has an apostrophe before them."""
 MAX_RESULT_MAGNITUDE = 1e40
 """Largest absolute value of a number in a result file, so that a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
@@ -101,7 +101,7 @@ class Column:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
-            return escape_formula(str(value))
+            return escape_cell_text(str(value))
         if self.csv_format:
             return repr(float(value)) if self.csv_format == "r" else format(value, self.csv_format)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
@@ -238,7 +238,7 @@ class Table(ValueEquality):
         """Content of the table's CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([escape_formula(name) for name in self.header])
+        writer.writerow([escape_cell_text(name) for name in self.header])
         for row in self.rows:
             writer.writerow([column.csv_cell(value) for column, value in zip(self.columns, row, strict=True)])
         return stream.getvalue()
@@ -369,14 +369,14 @@ class Result(ValueEquality):
         return figure
 
 
-def escape_formula(text: str) -> str:
-    """Text with an apostrophe before it if a spreadsheet would interpret the text as a formula."""
-    return f"'{text}" if text.startswith(FORMULA_START_CHARACTERS) else text
+def escape_cell_text(text: str) -> str:
+    """Text for a CSV cell, with an apostrophe before a text that would be interpreted as a formula or comment."""
+    return f"'{text}" if text.startswith(INTERPRETED_START_CHARACTERS) else text
 
 
-def unescape_formula(text: str) -> str:
-    """Text of a CSV cell without the apostrophe that `escape_formula` adds."""
-    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_START_CHARACTERS) else text
+def unescape_cell_text(text: str) -> str:
+    """Text of a CSV cell without the apostrophe that `escape_cell_text` adds."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(INTERPRETED_START_CHARACTERS) else text
 
 
 def _column_kind(column: Sequence[Any]) -> ColumnKind:
@@ -386,7 +386,7 @@ def _column_kind(column: Sequence[Any]) -> ColumnKind:
 
 def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     if column.kind == "text":
-        return unescape_formula(cell)
+        return unescape_cell_text(cell)
     if column.kind == "flag":
         return cell == "True"
     try:

@@ -22,7 +22,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.results import escape_formula, unescape_formula
+from ltsim.core.results import escape_cell_text, unescape_cell_text
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
@@ -223,7 +223,7 @@ class _PointRowReader:
                 message = f"the standard deviation {safe_excerpt(text)} is negative"
                 raise where.error(message, safe_excerpt(column.title or role))
             coordinates.append(np.nan if number is None else float(number))
-        return where.checked_name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
+        return where.checked_name(unescape_cell_text(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factors (k,) that convert k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
@@ -376,7 +376,7 @@ def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Text of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2]; `coordinates` are names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = list(map(escape_formula, coordinates))
+    names = list(map(escape_cell_text, coordinates))
     writer.writerow(["", *names])
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])

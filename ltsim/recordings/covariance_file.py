@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TEXT_LINES, require_small_joint_covariance
-from ltsim.core.results import unescape_formula
+from ltsim.core.results import unescape_cell_text
 from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_text, safe_excerpt, with_unix_line_ends
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6
@@ -35,7 +35,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     Raises RecordError.
     """
     rows = _rows(path)
-    names = list(map(unescape_formula, next(rows, (0, [""]))[1][1:]))
+    names = list(map(unescape_cell_text, next(rows, (0, [""]))[1][1:]))
     index_by_name = {name: i for i, name in enumerate(names)}
     missing = next((name for name in coordinate_names if name not in index_by_name), None)
     if missing is not None:
@@ -43,7 +43,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     require_small_joint_covariance(len(names), path)
     matrix = np.zeros((len(names), len(names)))
     for i, (name, row) in enumerate(zip_longest(names, rows)):
-        if name is None or row is None or unescape_formula(row[1][0]) != name:
+        if name is None or row is None or unescape_cell_text(row[1][0]) != name:
             raise RecordError("lacks rows in the order of its columns", file=path)
         line, fields = row
         if len(fields) != 1 + len(names):

@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_COLUMNS
-from ltsim.core.results import escape_formula, unescape_formula
+from ltsim.core.results import escape_cell_text, unescape_cell_text
 from ltsim.core.table_headers import require_columns
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -138,9 +138,9 @@ def parse_observations(table: TextTable, setup: Setup, folder: Path, *, is_growi
     With `is_growing` reference values and centring errors are not checked.
     """
     file = folder / OBSERVATIONS_FILE
-    header = list(map(unescape_formula, table[0]))
+    header = list(map(unescape_cell_text, table[0]))
     _check_header(header, file)
-    columns = {name: list(map(unescape_formula, column)) for name, column in zip(header, table[1], strict=True)}
+    columns = {name: list(map(unescape_cell_text, column)) for name, column in zip(header, table[1], strict=True)}
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
     n_rows = len(station)
@@ -359,8 +359,8 @@ def observation_table(recording: Recording) -> TextTable:
     """Column names and columns of the `observations.csv` of a recording."""
     readings = recording.readings
     columns: dict[str, Sequence[str]] = {
-        "station": [escape_formula(recording.stations[i]) for i in recording.station],
-        "target": [escape_formula(recording.targets[i]) for i in recording.target],
+        "station": [escape_cell_text(recording.stations[i]) for i in recording.station],
+        "target": [escape_cell_text(recording.targets[i]) for i in recording.target],
         "face": _integer_texts(recording.face),
         "repeat": _integer_texts(recording.repeat),
     }
@@ -370,8 +370,8 @@ def observation_table(recording: Recording) -> TextTable:
     columns["elevation_deg"] = _number_texts(readings[:, 2], DEGREE, 9)
     columns["distance_mm"] = _number_texts(readings[:, 0], MILLIMETRE, 6)
     columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
-    columns |= {name: [escape_formula(text) for text in labels] for name, labels in recording.labels.items()}
-    return list(map(escape_formula, columns)), list(columns.values())
+    columns |= {name: [escape_cell_text(text) for text in labels] for name, labels in recording.labels.items()}
+    return list(map(escape_cell_text, columns)), list(columns.values())
 
 
 def _integer_texts(values: Ints) -> list[str]:

@@ -205,17 +205,30 @@ def test_a_working_folder_that_holds_modules_runs_none(tmp_path: Path) -> None:
     assert not mark.exists(), mark.read_text()
 
 
-def test_compiled_code_of_a_working_folder_is_not_loaded(tmp_path: Path) -> None:
-    """Numba reads its settings from the working folder at every compilation, a folder of pickled code among them."""
+SETTINGS = {
+    "matplotlibrc": (b"axes.titlesize: 77\n", b"axes.titlesize: \xe9\xff\n", b""),
+    ".numba_config.yaml": (b"cache_dir: /tmp/cache\n", b"- a: [", b""),
+}
+"""Files of settings in a working folder that libraries read: usable, broken, and a pipe (empty)."""
+IMPORTS = """
+import ltsim.reports.style, ltsim.campaigns.compilation, matplotlib, numba, os
+numba.core.config.reload_config()
+print(matplotlib.rcParams["axes.titlesize"], repr(numba.config.CACHE_DIR), os.getcwd())
+"""
+
+
+@pytest.mark.parametrize("kind", range(3), ids=["usable", "broken", "pipe"])
+def test_settings_of_libraries_in_a_working_folder_are_not_read(kind: int, tmp_path: Path) -> None:
+    """Numba unpickles code of a folder that its settings name; a broken file ended in status 70, a pipe was awaited."""
     pytest.importorskip("numba", reason="kernels need the extra 'campaigns'")
-    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'cache'}\n")
-    code = (
-        "import ltsim.campaigns.compilation as c, numba;"
-        "numba.core.config.reload_config(); print(repr(numba.config.CACHE_DIR))"
-    )
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    for name, contents in SETTINGS.items():
+        if contents[kind]:
+            (tmp_path / name).write_bytes(contents[kind])
+        else:
+            os.mkfifo(tmp_path / name)
+    environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "MPLCONFIGDIR")}
     done = subprocess.run(
-        [sys.executable, "-P", "-c", code],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+        [sys.executable, "-P", "-c", IMPORTS],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
-    assert done.stdout == "''\n", done.stderr
+    assert done.stdout == f"large '' {tmp_path}\n", done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
@@ -20,7 +21,7 @@ from ltsim.campaigns import campaign
 from ltsim.campaigns.campaign import git_commit_of_checkout, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import MAX_SHARDS
-from ltsim.campaigns.statistics import database_memory_limit
+from ltsim.campaigns.statistics import CampaignStatistics, database_memory_limit
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.core.errors import InputError, LtsimError, WorkerError
 from ltsim.core.limits import MAX_FILE_BYTES, MAX_READ_SHARD_ROWS
@@ -299,3 +300,22 @@ def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeyp
     monkeypatch.setattr("ltsim.campaigns.campaign.git_commit_of_checkout", lambda: "0123abc")
     notes = run_campaign(file, tmp_path / "out", resume=True).notes
     assert any("started with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)
+
+
+def test_what_exceeds_the_memory_of_the_database_leaves_no_trace(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was written to `.tmp` in the working folder, and stayed there."""
+    run_campaign(file, tmp_path / "out")
+    temporary, here = tmp_path / "temporary", tmp_path / "here"
+    temporary.mkdir()
+    here.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    monkeypatch.chdir(here)
+    statistics = CampaignStatistics(tmp_path / "out")
+    statistics.query("SET memory_limit = '60MiB'")
+    statistics.query("CREATE TABLE big AS SELECT range AS a, hash(range) AS b FROM range(6000000) ORDER BY b")
+    assert [*temporary.rglob("*.tmp")]
+    del statistics
+    gc.collect()
+    assert [*temporary.iterdir(), *here.iterdir()] == []

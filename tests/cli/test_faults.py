@@ -18,6 +18,7 @@ from ltsim.cli import effects, terminal
 from ltsim.cli.main import run
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import read, write
+from ltsim.recordings.coordinates import read_coordinates
 from ltsim.recordings.files import is_number
 from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import load_scenario
@@ -195,7 +196,7 @@ def test_names_that_begin_as_formulas_are_no_formulas_in_any_table_and_are_read_
 ) -> None:
     monkeypatch.chdir(tmp_path)
     whole, _ = simulate(load_scenario("paper-workshop"), 1)
-    targets = ("=A1", "+1", "-x", "@y", "'=z", "a,b", *whole.targets[6:])
+    targets = ("=A1", "+1", "-x", "@y", "'=z", "a,b", "#8", *whole.targets[7:])
     stations = ("=S1", "+S2", "-S3", "@S4", *whole.stations[4:])
     count = np.arange(len(whole), dtype=np.float64)
     given = whole.replace(
@@ -210,6 +211,7 @@ def test_names_that_begin_as_formulas_are_no_formulas_in_any_table_and_are_read_
     assert {*again.targets} == {*targets} and {*again.stations} == {*stations}
     assert {*again.covariates} == {"=count"} and again.labels == {"@note": ("=1+1",) * len(whole)}
     assert run(["adjust", "rec", "--out", "adjusted", "-q"]) == 0
+    assert {*read_coordinates(tmp_path / "adjusted" / "targets.csv").names} == {*targets}  # none is a comment
     assert run(["compare", "adjusted/targets.csv", "adjusted/targets.csv", "-q", "--out", "compared"]) == 0
     assert len(list(tmp_path.rglob("*.csv"))) > 3
     assert formulas(tmp_path) == []

@@ -157,3 +157,26 @@ def test_a_file_in_a_folder_that_is_no_file_is_refused(
     assert said.err.count("error: ") == (status == 2) and "Traceback" not in said.err
     assert status == 0 or Path(file).name in said.err, said.err
     assert [p.name for p in (made / "outside").iterdir()] == ["pipe"]
+
+
+LONG_NAME = "x" * 300
+"""A name that is longer than file systems permit."""
+FILES_WITH_NAME = {
+    "plan a.toml": PLAN.partition("[[points]]")[0].replace("title", f'points = "{LONG_NAME}"\ntitle', 1),
+    "plan b.toml": f'format = "ltsim-plan/1"\nscenario = "{LONG_NAME}"\n',
+    "simulate c.toml --out made": SCENARIO.replace("paper-workshop", LONG_NAME),
+    "uncertainty d.toml": TASKS.replace('"rec"', f'"{LONG_NAME}"'),
+    "campaign e.toml --out made": CAMPAIGN.replace("seed", f'scenario = "{LONG_NAME}"\nseed', 1),
+    "campaign f.toml --out made": CAMPAIGN.replace("seed", f'validation_points = "{LONG_NAME}"\nseed', 1),
+}
+"""Verbs with the content of a file that names another one."""
+
+
+@pytest.mark.parametrize("words", [*(w.replace("{}", LONG_NAME) for w in WORDS.values()), *FILES_WITH_NAME])
+def test_a_name_that_no_file_can_have_is_refused(words: str, work: Path, capsys: Any) -> None:
+    if words in FILES_WITH_NAME:
+        (work / words.split()[1]).write_text(FILES_WITH_NAME[words])
+    assert run(words.replace(f"--cad {LONG_NAME}", f"--cad {LONG_NAME}.stl").split()) == 2
+    said = capsys.readouterr()
+    assert said.err.count("error: ") == 1 and "xxxx" in said.err and "Traceback" not in said.err
+    assert not list(work.glob("made*"))

@@ -248,3 +248,12 @@ def test_the_girder_comes_out_where_its_authors_have_it(epoch: int, date: str) -
     assert len(miss) == 88
     assert np.median(miss) < 6e-6
     assert miss.max() < 40e-6
+
+
+def test_a_station_whose_line_would_be_a_comment_is_refused(tmp_path: Path) -> None:
+    recording = workshop()
+    for k in range(2):
+        names = tuple(f"#{name}" if i == k else name for i, name in enumerate(recording.stations))
+        with pytest.raises(RecordError, match=f"station '#{recording.stations[k]}' begins with #"):
+            write(recording.replace(stations=names), tmp_path / "a.txt", "polar-text")
+    assert not (tmp_path / "a.txt").exists()

@@ -75,8 +75,15 @@ def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
 def write(recording: Recording, path: Path) -> None:
     """Export as polar text: raw readings in degrees and millimetres, counter-clockwise azimuth, elevation.
 
-    Raises RecordError for a pointing without all three readings, which this format does not support.
+    Raises RecordError for a pointing without all three readings and for a station whose name begins with ``#``, which
+    this format does not support.
     """
+    wrong_name = next((name for name in recording.stations if name.startswith("#")), None)
+    if wrong_name is not None:
+        raise RecordError(
+            f"the name of the station '{safe_excerpt(wrong_name)}' begins with #, which starts a comment in polar text"
+            "; rename it, or choose another format"
+        )
     incomplete_rows = np.flatnonzero(~np.all(recording.is_measured, axis=1))
     if len(incomplete_rows):
         message = "a reading is missing here; polar text supports only pointings with all three readings"
