@@ -24,6 +24,7 @@ from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
+from ltsim.recordings.face_units import face_unit_errors
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WRONG_FACE_ERRORS, shared_target_counts
 
@@ -205,20 +206,23 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
 
 
 def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording with corrected readings of stations that were recorded in another unit or convention, and the blunders.
+    """Recording with corrected readings of stations or faces recorded in another unit or convention, and the blunders.
+
+    The faces of each station are compared first, because their difference needs no other station.
 
     Returns
     -------
     recording : Recording
         Recording with converted readings.
     findings : list of IdentifiedBlunder
-        Blunders, one for each corrected station. The list is empty if the points of all stations have the same shape,
-        if no unit or convention explains the difference, or if more than `MAX_COMPARED_STATIONS` stations differ.
+        Blunders, one for each error of a face and each corrected station. Without an error of a face, the list is
+        empty if the points of all stations have the same shape, if no unit or convention explains the difference, or
+        if more than `MAX_COMPARED_STATIONS` stations differ.
     """
-    findings: list[IdentifiedBlunder] = []
+    recording, findings = _correct_face_units(recording)
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
     if len(recording.stations) == 2:
-        return recording, _mirror_image_blunders(recording) if len(suspects) else findings
+        return recording, [*findings, *(_mirror_image_blunders(recording) if len(suspects) else ())]
     if len(suspects) > MAX_COMPARED_STATIONS:
         return recording, findings
     for s in suspects.tolist():
@@ -235,6 +239,20 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
                 recording = corrected
                 break
     return recording, findings
+
+
+def _correct_face_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
+    """Recording with corrected readings of faces that were recorded in another unit or convention, and the blunders."""
+    findings, readings = [], recording.readings.copy()
+    for error in face_unit_errors(recording):
+        rows = error.pointing_indices
+        moved = from_polar(error.corrected_readings) - from_polar(recording.readings[rows])
+        size = float(np.nanmax(np.linalg.norm(moved, axis=1), initial=0.0))
+        readings[rows] = error.corrected_readings
+        findings.append(
+            IdentifiedBlunder(WrongUnit.name, rows, error.stations, (), error.observables, size, error.sentence)
+        )
+    return (recording.with_readings(readings) if findings else recording), findings
 
 
 def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:

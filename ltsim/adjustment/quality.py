@@ -27,7 +27,7 @@ from ltsim.core.notation import MAX_LISTED_SENTENCES, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
-from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_AND_CONVENTION_ERRORS, WrongColumnConversion
+from ltsim.recordings.transcription_errors import DEGREES_FOR_GON, UNIT_AND_CONVENTION_ERRORS
 
 MAX_CONSISTENT_SIGMA0 = 100.0
 """Largest sigma0 at which the observations count as consistent. Above it other units are tried, and a warning states
@@ -41,7 +41,7 @@ small.
 """
 TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
-    WrongColumnConversion("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
+    DEGREES_FOR_GON,
 )
 """Errors of unit or convention that are tested for a whole file. Errors whose correction shrinks lengths are not among
 them, because any shrunk network seems to fit."""

@@ -16,6 +16,7 @@ from ltsim.recordings.conventions import (
     time_unit_questions,
     vertical_sight_notes,
 )
+from ltsim.recordings.face_units import face_unit_warnings
 from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
@@ -171,6 +172,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     notes = (
         *recording.notes,
         *mirror_image_warnings(recording),
+        *face_unit_warnings(recording),
         *time_unit_questions(recording),
         *vertical_sight_notes(recording),
     )

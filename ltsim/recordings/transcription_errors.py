@@ -65,7 +65,7 @@ def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> WrongColumnCo
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 """Factors from degrees to gon and to radians."""
 
-UNIT_AND_CONVENTION_ERRORS = (
+ERRORS_IN_DEGREES_AND_MILLIMETRES = (
     _length_unit_error("inch", "inches", 25.4),
     _length_unit_error("metre", "metres", 1e3),
     _length_unit_error("micrometre", "micrometres", 1e-3),
@@ -83,6 +83,20 @@ UNIT_AND_CONVENTION_ERRORS = (
         ((1, GON_PER_DEGREE, 0.0), (2, -GON_PER_DEGREE, GON_PER_DEGREE * QUARTER_TURN)),
     ),
     WrongColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
+)
+"""Transcription errors of columns that should contain degrees and millimetres: wrong units, kinds of vertical angle and
+senses of the azimuth."""
+
+DEGREES_FOR_GON = WrongColumnConversion(
+    "degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))
+)
+"""Transcription error of angles in degrees that were converted to degrees as if they were gon."""
+
+UNIT_AND_CONVENTION_ERRORS = (
+    *ERRORS_IN_DEGREES_AND_MILLIMETRES,
+    DEGREES_FOR_GON,
+    WrongColumnConversion("degree-azimuth", "degrees", "gon of the azimuth", ((1, 1.0 / GON_PER_DEGREE, 0.0),)),
+    WrongColumnConversion("degree-elevation", "degrees", "gon of the elevation", ((2, 1.0 / GON_PER_DEGREE, 0.0),)),
 )
 """Transcription errors of a unit, of the kind of vertical angle, and of the sense of the azimuth."""
 
@@ -244,7 +258,7 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column="distance_mm").error(message)
     face_sums = _two_face_vertical_angle_sums(elevation, station, target, face)
     median = float(np.median(face_sums)) if len(face_sums) else float("nan")
-    for unit_error in UNIT_AND_CONVENTION_ERRORS:
+    for unit_error in ERRORS_IN_DEGREES_AND_MILLIMETRES:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
@@ -283,7 +297,7 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> WrongCo
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return None
-    angle_errors = [error for error in UNIT_AND_CONVENTION_ERRORS if 0 not in error.changed_columns]
+    angle_errors = [error for error in ERRORS_IN_DEGREES_AND_MILLIMETRES if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]

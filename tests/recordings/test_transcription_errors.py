@@ -12,6 +12,7 @@ from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.transcription_errors import (
+    ERRORS_IN_DEGREES_AND_MILLIMETRES,
     UNIT_AND_CONVENTION_ERRORS,
     WRONG_FACE_ERRORS,
     WrongColumnConversion,
@@ -19,7 +20,9 @@ from ltsim.recordings.transcription_errors import (
 )
 from tests.networks import network
 
-ANGULAR = [slip for slip in UNIT_AND_CONVENTION_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
+ANGULAR = [
+    slip for slip in ERRORS_IN_DEGREES_AND_MILLIMETRES if 0 not in slip.changed_columns and slip.name != "clockwise"
+]
 
 
 def slipped(recording: Recording, slip: WrongColumnConversion) -> Recording:

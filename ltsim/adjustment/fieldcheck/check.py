@@ -39,7 +39,7 @@ from ltsim.adjustment.fieldcheck.sentences import (
     zero_drift_sentence,
 )
 from ltsim.adjustment.fieldcheck.setup_model import AddedColumnsFit, SetupModel, TwoFaceDifferences
-from ltsim.adjustment.identification import cause_tests, identify_causes
+from ltsim.adjustment.identification import CauseSelection, cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_SINGLE_ERROR_FRACTION
 from ltsim.adjustment.station_motions import UniformMotion, with_mean_times_of_consecutive_pointings
@@ -99,11 +99,7 @@ def check(
     full_recording = load_recording(recording)
     full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
-    selection = (
-        identification
-        if identification and (identification.requires_adjustment_with_causes or identification.is_consistent)
-        else None
-    )
+    selection = identification if identification is not None and _explains_readings(identification) else None
     moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
@@ -119,7 +115,9 @@ def check(
     if len(full_recording.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         moving = tuple(motion for motion in moving if motion.stations not in {m.stations for m in motions})
-        adjustment_or_error = adjust_for_check(corrected, motions)
+        # An adjustment refuses a recording in a wrong unit; so does its comparison of the stations.
+        is_in_wrong_unit = selection is not None and selection.has_unit_errors
+        adjustment_or_error = adjust_for_check(full_recording if is_in_wrong_unit else corrected, motions)
         recording_to_test, noise_scaled_recording, scattering = corrected, corrected, tuple[CheckItem, ...]()
         if isinstance(adjustment_or_error, Adjustment):
             noise_scaled_recording, scattering = with_increased_noise_at_noisy_targets(corrected, adjustment_or_error)
@@ -144,6 +142,11 @@ def check(
         message = "no station measured a target twice, so no test is possible yet; "
         raise NetworkError(message + "measure some targets in both faces, or the first targets again at the end")
     return result
+
+
+def _explains_readings(selection: CauseSelection) -> bool:
+    """True if the readings are tested with the corrections of a selection; its causes are then failed tests."""
+    return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:

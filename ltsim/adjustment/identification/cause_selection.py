@@ -152,6 +152,11 @@ class CauseSelection:
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL)
 
     @property
+    def has_unit_errors(self) -> bool:
+        """True if set-ups or faces were recorded in another unit or convention, which the fit converts."""
+        return any(choice.hypothesis.kind == "unit" for choice in self.selected_hypotheses)
+
+    @property
     def is_range_zero_error(self) -> bool:
         """True if the only cause is a constant on all distances of an instrument that its range zero may explain.
 

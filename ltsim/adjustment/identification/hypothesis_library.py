@@ -310,7 +310,7 @@ def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []
-    for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
+    for mistake in (*(slips if converted is not recording else ()), *faces):
         rows = mistake.pointing_indices
         change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of_kind("unit", len(recording.stations))
