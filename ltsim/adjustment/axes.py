@@ -68,23 +68,29 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
     """Relative scale error of the coordinates that define the axes of the hall, and its standard deviation.
 
-    It is the difference from the scale of the measured ranges, estimated from the residuals of the coordinates. The
-    result is None if the scale error is not significant, or if fewer than three points are tested.
+    It is the difference from the scale of the measured ranges, estimated from the residuals of the coordinates. Its
+    variance is the sum of that by the scatter of the residuals and that of the scale of the network, which depends on
+    estimated constants such as the range zero. The result is None if the scale error is not significant, or if fewer
+    than three points are tested.
     """
     used_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_POINTS_FOR_POSE:
         return None
-    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
+    indices = [adjustment.recording.targets.index(test.name) for test in used_tests]
+    places = adjustment.state.target_points[indices]
     column = (places - places.mean(axis=0)).ravel()
     residuals = np.array([test.residual for test in used_tests])
     residual = (residuals - residuals.mean(axis=0)).ravel()
     scale = float(column @ residual / (column @ column))
     dof = residual.size - 7  # six motions and the scale
     variance = float(np.sum((residual - scale * column) ** 2)) / dof
-    ratio = scale**2 * float(column @ column) / max(variance, np.finfo(float).tiny)
-    if special.fdtrc(1, dof, ratio) > SINGLE_TEST_LEVEL:
+    weights = np.zeros((adjustment.problem.unknowns.n_columns, 1))
+    weights[adjustment.problem.unknowns.target_columns[indices].ravel(), 0] = column / (column @ column)
+    network_variance = float(weights[:, 0] @ adjustment.factorised_normals.multiply_by_covariance(weights)[:, 0])
+    scale_variance = variance / float(column @ column) + network_variance
+    if special.fdtrc(1, dof, scale**2 / max(scale_variance, np.finfo(float).tiny)) > SINGLE_TEST_LEVEL:
         return None
-    return scale, float(np.sqrt(variance / (column @ column)))
+    return scale, float(np.sqrt(scale_variance))
 
 
 def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.datum import motions_about_centre, move_to_datum
+from ltsim.adjustment.datum import motions_about_centre, move_to_datum, selected_datum_names
 from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.reference_tests import ReferenceTest, length_sigma
 from ltsim.adjustment.reliability import noise_factor
@@ -61,6 +61,30 @@ def exclude_contradicting_axes_points(
     for name, used, place in zip(names, use, declared_points / MILLIMETRE, strict=True):
         targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
+
+
+def axes_point_tests_with_declared_points(
+    adjustment: Adjustment, declared_recording: Recording
+) -> tuple[ReferenceTest, ...]:
+    """Tests of all points that define the axes in `declared_recording`, in an adjustment with causes in its model.
+
+    An earlier adjustment without these causes may have excluded right points. All points are therefore tested again.
+    The result is empty if no declared points define the axes.
+    """
+    declared, recording = declared_recording.setup, adjustment.recording
+    if not declared.datum_source:
+        return ()
+    targets = dict(recording.setup.targets)
+    for name in declared.targets.keys() & targets.keys():
+        point = declared.targets[name]
+        update = {"datum": point.datum, "approximate_mm": point.approximate_mm}
+        targets[name] = targets[name].model_copy(update=update)
+    recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+    problem = replace(adjustment.problem, model=replace(adjustment.problem.model, recording=recording))
+    names = [name for name in selected_datum_names(problem) if name not in adjustment.undetermined_targets]
+    if len(names) < MIN_POINTS_FOR_POSE:
+        return ()
+    return exclude_contradicting_axes_points(replace(adjustment, problem=problem), names)[1]
 
 
 def _axes_point_tests(

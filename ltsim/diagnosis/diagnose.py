@@ -15,7 +15,8 @@ Decisions in their order, each with its function, its module and its criterion:
 7. Noise hypotheses (`SelectionState.with_noise_hypothesis`) and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
-10. Effects of the model with too small a probability are not reported
+10. Declared points that define the axes are tested with the model (`preprocessing.axes_point_findings`).
+11. Effects of the model with too small a probability are not reported
     (`findings.SelectedModelFit.unreported_effect_keys`); `assembly.assemble_diagnosis` makes the result.
 
 The modules `hypotheses` (hypothesis, model, ranking) and `selection_state` (adjustment, noise and search of one step)
@@ -53,6 +54,7 @@ from ltsim.diagnosis.model_selection import InstrumentConstantComparisonFunction
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
+    axes_point_findings,
     effects_of_uncorrected_causes,
 )
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
@@ -137,6 +139,7 @@ def diagnose(
             initial_space, initial_designs = state.residual_space, state.searcher.catalogue_designs
             state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
+    blunder_findings += axes_point_findings(final_adjustment, recording)
     contradictions = _contradicting_constants_unexplained_by_model(
         state, model, final_adjustment, compare_with_reference
     )

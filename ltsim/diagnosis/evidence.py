@@ -136,18 +136,22 @@ def log_restricted_likelihood(adjustment: Adjustment) -> float:
 
 
 def log_evidence_of_wrong_readings(
-    space: ResidualSpace, residual: Floats, redundancy: Floats, log_prior: float
+    space: ResidualSpace, residual: Floats, model_basis: Floats, log_prior: float
 ) -> float:
     """Log evidence of the hypothesis that several readings are wrong, each with a separate error.
 
-    Each reading with a positive log evidence counts as wrong, independently of the others.
+    Readings with a positive log evidence count as wrong. The first `N_EXACTLY_EVALUATED_HYPOTHESES` are selected one
+    after another, each given the others, because one wrong reading also changes the residuals of other readings. The
+    log evidences of all further readings are added as if they were independent.
 
     Parameters
     ----------
     space : ResidualSpace
         Residual space of the adjustment.
-    residual, redundancy : (m,) float
-        Whitened residuals and redundancy numbers given the effects of a model, one for each of m observation equations.
+    residual : (m,) float
+        Whitened residuals of m observation equations, given the effects of a model.
+    model_basis : (m, e) float
+        Orthonormal basis of the changes of the whitened residuals by these effects.
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
@@ -155,9 +159,25 @@ def log_evidence_of_wrong_readings(
         [Outlier(observable=name).plausible_sizes for name in READING_COLUMN_BY_OBSERVABLE]
     )
     scale = (plausible_sizes / space.reading_sigmas)[space.is_used_reading]
-    score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
-    log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
-    return float(np.maximum(log_evidences, 0.0).sum())
+    redundancy, total = space.redundancy - np.sum(model_basis**2, axis=1), 0.0
+    for n_wrong in range(N_EXACTLY_EVALUATED_HYPOTHESES + 1):
+        score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
+        log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
+        log_evidences[redundancy[: len(scale)] <= NORMAL_EQUATIONS_TOLERANCE] = -np.inf  # other readings do not test it
+        most = int(np.argmax(log_evidences))
+        if log_evidences[most] <= 0.0:
+            break
+        if n_wrong == N_EXACTLY_EVALUATED_HYPOTHESES:
+            return total + float(np.maximum(log_evidences, 0.0).sum())
+        total += float(log_evidences[most])
+        unit = np.zeros(space.n_equations)
+        unit[most] = 1.0
+        column = space.project(unit[:, None])[:, 0]
+        column -= model_basis @ (model_basis.T @ column)
+        column /= np.sqrt(column[most])
+        residual = residual - column * (column @ residual)
+        redundancy, model_basis = redundancy - column**2, np.column_stack([model_basis, column])
+    return total
 
 
 def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) -> Floats:

@@ -15,7 +15,6 @@ from ltsim.core.notation import MAX_LISTED_ITEMS, number_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_EFFECT_TYPES
 from ltsim.diagnosis.detectability import (
-    MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO,
     separating_measurement_sentence,
     target_distortion_um,
 )
@@ -36,7 +35,9 @@ from ltsim.diagnosis.sentences import (
     MIN_PROBABILITY_OF_PROBABLE_CAUSE,
     catalogue_effect_sentence,
     estimate_without_clock,
+    is_implausible_size,
     law_sentence,
+    law_text,
 )
 from ltsim.physics.effects.effect import ChainErrorEffect, Effect
 from ltsim.physics.effects.linear_effect import CandidateEffect, n_parameters_and_shape_parameters
@@ -44,7 +45,7 @@ from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_names_in_files
-from ltsim.physics.laws.text_form import law_suffix, regressor_text
+from ltsim.physics.laws.text_form import regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
 MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
@@ -129,17 +130,17 @@ class SelectedModelFit:
     def unreported_effect_keys(self) -> tuple[str, ...]:
         """Keys (`Hypothesis.effect_key`) of the selected effects that are too improbable to be reported.
 
-        The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
-        is certain that there is a cause.
+        An effect is reported if it is probable, or if it is certain that there is a cause, whatever its name. The
+        effect with the largest chi-square decrease is also reported if there is no other finding.
         """
         hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
+        p_real = [self.p_real(i) for i in range(len(hypotheses))]
+        has_certain_cause = [self.p_cause(i) >= 1.0 - FAMILY_WISE_LEVEL for i in range(len(hypotheses))]
         is_doubtful = [
-            self.p_real(i) < MIN_PROBABILITY_OF_PROBABLE_CAUSE
-            and (
-                gains[i] < max(gains)
-                or (self.has_test_findings and self.p_cause_other_than_wrong_readings(i) < 1.0 - FAMILY_WISE_LEVEL)
-            )
-            for i in range(len(hypotheses))
+            p < MIN_PROBABILITY_OF_PROBABLE_CAUSE
+            and not (is_certain and (p > 0.0 or gain == max(gains)))
+            and (gain < max(gains) or self.has_test_findings)
+            for p, is_certain, gain in zip(p_real, has_certain_cause, gains, strict=True)
         ]
         return tuple(hypothesis.effect_key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
@@ -160,30 +161,57 @@ class SelectedModelFit:
         is_specific = self._scope(effect) != anywhere or p_same_scope >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
         if not (is_significant and is_specific):
             return 0.0
-        return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
+        p_not_wrong_readings = 1.0 - self.p_wrong_readings[effect_index]
+        return max(self.p_same_name(effect_index) * p_not_wrong_readings, self._p_located(effect_index))
 
-    def p_cause_other_than_wrong_readings(self, effect_index: int) -> float:
-        """Probability that a selected effect has any cause other than several wrong readings.
+    def p_cause(self, effect_index: int) -> float:
+        """Probability that the readings that a selected effect explains have any cause at the place of the effect.
+
+        `effect_index` is the index of the effect in the model. Several wrong readings are such a cause only if the
+        effect acts on single targets. Otherwise they are at other places than the effect.
+        """
+        p_elsewhere = 0.0 if self._is_at_single_targets(effect_index) else self.p_wrong_readings[effect_index]
+        return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (1.0 - p_elsewhere)
+
+    def _is_at_single_targets(self, effect_index: int) -> bool:
+        """True if an effect acts on single targets, so that wrong readings in its place are at the same targets.
 
         `effect_index` is the index of the effect in the model.
         """
-        return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
-            1.0 - self._p_wrong_readings(effect_index)
-        )
+        effect = self.model.hypotheses[effect_index].effect
+        return not isinstance(effect, EmpiricalLaw) and bool(self._scope(effect).targets)
 
-    def _p_wrong_readings(self, effect_index: int) -> float:
+    def _p_located(self, effect_index: int) -> float:
+        """Probability of any cause with the scope of an effect, among them wrong readings at the same targets.
+
+        `effect_index` is the index of the effect in the model.
+        """
+        p_wrong = self.p_wrong_readings[effect_index]
+        return self.p_same_scope[effect_index] * (1.0 - p_wrong) + p_wrong * self._is_at_single_targets(effect_index)
+
+    @cached_property
+    def p_wrong_readings(self) -> list[float]:
+        """Probabilities, one per selected effect, that its cause is several wrong readings with separate errors.
+
+        Readings that are wrong with and without the effect are no alternative to it.
+        """
+        return list(map(self._p_wrong_readings_of, range(len(self.model.hypotheses))))
+
+    def _p_wrong_readings_of(self, effect_index: int) -> float:
         """Probability that several wrong readings, each with a separate error, are the cause of a selected effect.
 
         `effect_index` is the index of the effect in the model.
         """
         searcher, model = self.selection_state.searcher, self.model
-        other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
-        redundancy = searcher.residual_space.redundancy - np.sum(other_model.projected_basis**2, axis=1)
-        prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
-        rival = log_evidence_of_wrong_readings(searcher.residual_space, other_model.residual, redundancy, prior)
-        return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
+        prior, space = searcher.catalogue_designs.log_prior_of_family(Outlier.name), searcher.residual_space
+        other_model = searcher.model_without(model, effect_index)
+        without_effect, with_effect = (
+            log_evidence_of_wrong_readings(space, m.residual, m.projected_basis, prior) for m in (other_model, model)
+        )
+        gain = model.log_evidence - other_model.log_evidence  # wrong readings would have the same penalty as the effect
+        return float(expit(without_effect - with_effect - gain))
 
     def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports a selected effect, given the other selected effects.
@@ -198,11 +226,12 @@ class SelectedModelFit:
         space, others = searcher.residual_space, searcher.model_without(model, effect_index)
         hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = (
-            self.p_same_name(effect_index),
-            probability_and_equivalents(ranking.probabilities_by_name(), name)[1],
-        )
-        p_same_scope = self.p_same_scope[effect_index]
+        p_wrong, p_by_name = self.p_wrong_readings[effect_index], ranking.probabilities_by_name()
+        p_by_name = {rival: p * (1.0 - p_wrong) for rival, p in p_by_name.items()}
+        p_by_name[Outlier.name] = p_by_name.get(Outlier.name, 0.0) + p_wrong
+        probability = self.p_same_name(effect_index) * (1.0 - p_wrong)
+        rivals = probability_and_equivalents(p_by_name, name)[1]
+        p_same_scope = self._p_located(effect_index)
         gain = self.squared_residual_decreases[effect_index]
         coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.grams_and_scores([effect], others)[0], hypothesis.plausible_sizes
@@ -324,7 +353,7 @@ class SelectedModelFit:
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" The set-up declares that this instrument constant is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause: check other causes too."
-        return implausible if _is_implausible_size(effect, estimates) else ""
+        return implausible if is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
         """Estimates of the instrument constants of an effect of the ordinary calibration, without their prior.
@@ -368,28 +397,3 @@ class SelectedModelFit:
             if self.selection_state.recording.has_clock
             else tuple(estimate_without_clock(e) for e in estimates)
         )
-
-
-def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
-    """Description of an empirical law, such as ``distance correction follows cos(3 azimuth)``.
-
-    `regressor_phrase` is the text of the function of covariates that the law follows, such as ``cos(3 azimuth)``.
-    """
-    phrase = f"{law.response.name} correction" if law.response.changed_part == "reading" else law.response.name
-    suffix = law_suffix(law)
-    return (
-        f"{phrase} differs{suffix}"
-        if law.regressor.kind == "constant"
-        else f"{phrase} follows {regressor_phrase}{suffix}"
-    )
-
-
-def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
-    """True if any size is much larger than plausible, or negative for a parameter that must be positive."""
-    parameter_scales = zip(effect.parameters, effect.plausible_sizes.tolist(), strict=True)
-    matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
-    is_large = any(
-        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit
-        for e, p, size in matches
-    )
-    return is_large or any(p.is_nonnegative and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

@@ -125,18 +125,19 @@ class EffectModel:
         )
 
     @cached_property
-    def penalised_log_evidence(self) -> float:
-        """Log evidence of the model with priors, averaged over sizes, minus a penalty for each effect after the first.
-
-        The penalty is `discrepancy_penalty`.
-        """
+    def log_evidence(self) -> float:
+        """Log evidence of the model with the priors of its effects, averaged over their sizes."""
         if not self.hypotheses:
             return 0.0
         log_prior_odds = sum(
             log_prior_odds_of_repetition(h, self.hypotheses[:i]) for i, h in enumerate(self.hypotheses)
         )
-        penalty = self.discrepancy_penalty * (len(self.hypotheses) - 1)
-        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds - penalty
+        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds
+
+    @property
+    def penalised_log_evidence(self) -> float:
+        """Log evidence of the model minus a penalty, `discrepancy_penalty`, for each effect after the first."""
+        return self.log_evidence - self.discrepancy_penalty * max(len(self.hypotheses) - 1, 0)
 
 
 RELATIVE_ERROR_OF_LAW_FORM = 0.05

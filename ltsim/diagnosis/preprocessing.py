@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.axes_point_tests import axes_point_tests_with_declared_points
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
 from ltsim.adjustment.identification.cause_selection import largest_displacement
@@ -110,6 +111,20 @@ def adjustment_without_blunders(
         baseline = adjust(
             moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
         )
-    axes = [test for test in baseline.axes_point_tests if test.is_excluded]
-    findings = [*map(cause_test_finding, tests), *map(axes_point_finding, axes), *map(blunder_finding, tripods)]
-    return baseline, ~errors, [finding.model_copy(update={"is_corrected_before_search": True}) for finding in findings]
+    findings = [*map(cause_test_finding, tests), *map(blunder_finding, tripods)]
+    return baseline, ~errors, list(map(_corrected_before_search, findings))
+
+
+def axes_point_findings(final_adjustment: Adjustment, declared_recording: Recording) -> list[Finding]:
+    """Findings on points whose coordinates, declared in `declared_recording`, contradict the axes by the other points.
+
+    They are tested in `final_adjustment`, which has the selected causes in its model. Without these causes a right
+    point would contradict the readings to a target that moved.
+    """
+    tests = axes_point_tests_with_declared_points(final_adjustment, declared_recording)
+    return [_corrected_before_search(axes_point_finding(test)) for test in tests if test.is_excluded]
+
+
+def _corrected_before_search(finding: Finding) -> Finding:
+    """Copy of a finding that is marked as corrected before the search."""
+    return finding.model_copy(update={"is_corrected_before_search": True})

@@ -6,10 +6,14 @@ import numpy as np
 
 from ltsim.adjustment.significance import MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.notation import MAX_LISTED_ITEMS, names_text, with_sigma
+from ltsim.diagnosis.detectability import MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.text_form import law_suffix
 
 MIN_PROBABILITY_OF_PROBABLE_CAUSE = 0.5
 """Smallest probability at which a cause is reported as probable: it is then more probable than not."""
@@ -250,3 +254,28 @@ def _held_out_sentence(error_before: float | None, error_after: float | None) ->
     verb = "improve" if error_after < error_before else "worsen"
     change = f"{'falls' if error_after < error_before else 'rises'} from {before_text} to {after_text}"
     return f" The findings {verb} {subject}: its error {change} times the noise (rms; noise alone gives 1)."
+
+
+def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
+    """Description of an empirical law, such as ``distance correction follows cos(3 azimuth)``.
+
+    `regressor_phrase` is the text of the function of covariates that the law follows, such as ``cos(3 azimuth)``.
+    """
+    phrase = f"{law.response.name} correction" if law.response.changed_part == "reading" else law.response.name
+    suffix = law_suffix(law)
+    return (
+        f"{phrase} differs{suffix}"
+        if law.regressor.kind == "constant"
+        else f"{phrase} follows {regressor_phrase}{suffix}"
+    )
+
+
+def is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
+    """True if any size is much larger than plausible, or negative for a parameter that must be positive."""
+    parameter_scales = zip(effect.parameters, effect.plausible_sizes.tolist(), strict=True)
+    matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
+    is_large = any(
+        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit
+        for e, p, size in matches
+    )
+    return is_large or any(p.is_nonnegative and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

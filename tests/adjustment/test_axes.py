@@ -91,6 +91,15 @@ def test_another_scale_of_the_coordinates_is_reported_and_noise_is_none(recordin
             assert float(reported[1]) == pytest.approx(1e6 * (scale - 1.0), abs=4 * float(reported[2]))
 
 
+def test_the_scale_of_right_coordinates_is_not_blamed_for_the_uncertain_scale_of_the_ranges() -> None:
+    """Without a length, the scale of a calibrated network is as uncertain as the range zero and scale."""
+    recording, truth = network(seed=3, faces=2, stations=3)
+    recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    points = dict(zip(recording.targets[:8], truth.state.target_points, strict=False))
+    (note, *_) = lt.calibrate(with_axes_from_points(recording, points, "hall.csv")).notes
+    assert "the scale of the coordinates" not in note
+
+
 def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:
     goal = hall(recording, list(recording.targets[:12]), noise=3e-3)
     goal["T05"] = goal["T05"] + [0.4, 0.0, 0.0]

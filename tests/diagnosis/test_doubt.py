@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.evidence import log_bayes_factor_of_discrepancy
+from ltsim.diagnosis.evidence import log_bayes_factor_of_discrepancy, log_evidence_of_wrong_readings
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import run_global_test
 from ltsim.diagnosis.hypotheses import Hypothesis
@@ -64,6 +64,18 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
     assert told.evidence.chi2_drop == pytest.approx(float(space.whitened_residuals[at][0]) ** 2 / redundancy, rel=0.01)
+
+
+def test_one_wrong_reading_is_not_counted_again_in_the_readings_that_it_distorts():
+    space = space_of(workshop(2)[0])
+    row = int(np.argmax(space.redundancy[: int(space.is_used_reading.sum())] < 0.5))
+    unit = np.zeros(space.n_equations)
+    unit[row] = 1.0
+    column = space.project(unit)
+    no_effects = np.zeros((space.n_equations, 0))
+    one = log_evidence_of_wrong_readings(space, 60.0 * column, no_effects, 0.0)
+    by_chi2 = 0.5 * 60.0**2 * column[row]
+    assert by_chi2 - 20.0 < one < by_chi2
 
 
 @pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])

@@ -114,7 +114,7 @@ class Set:
     def p_real(self, member: int) -> float:
         return self.chances[self.members[member]]
 
-    def p_cause_other_than_wrong_readings(self, member: int) -> float:
+    def p_cause(self, member: int) -> float:
         return {"d": 0.999}.get(self.members[member], 0.9)
 
 
@@ -124,6 +124,12 @@ def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() ->
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()
     assert untold(Set(("b", "d"), {"b": 0.1, "d": 0.1}, has_test_findings=True)) == ("b",)
+
+
+def test_a_second_effect_that_certainly_exists_is_reported_whatever_its_name() -> None:
+    untold = SelectedModelFit.unreported_effect_keys.func
+    assert untold(Set(("d", "e"), {"d": 0.1, "e": 0.9}, has_test_findings=False)) == ()
+    assert untold(Set(("d", "e"), {"d": 0.0, "e": 0.9}, has_test_findings=False)) == ("d",)
 
 
 def finding(effect: str, chi2_drop: float, probability: float) -> Finding:
