@@ -3,8 +3,8 @@
 An explanation is one possible cause of the residuals: a catalogue effect, an empirical law, or no effect. Each
 explanation shifts the adjusted coordinates. Its prior shrinks its size. Its weight in the average is its probability
 (Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is an approximation. Log evidences are
-therefore divided by a temperature above 1. The covariance of the coordinates includes the variance between
-explanations.
+therefore divided by a temperature above 1, and the explanations with the observables of the law are estimated together,
+as parts of one change. The covariance of the coordinates includes the variance between explanations.
 
 Only a fraction t of the shift s of the targets by empirical laws is applied, because the laws may be wrong. Without the
 shift, the error of the coordinates is s plus an independent error e. Subtracting t s changes the sum of squared errors
@@ -20,11 +20,12 @@ from scipy.special import ndtri
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air
 from ltsim.adjustment.refit import Refit
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
 from ltsim.diagnosis.evidence import (
     MAX_AVERAGED_HYPOTHESES,
     coefficient_posterior,
+    most_probable_size_factor,
     normalised_probabilities,
     wide_prior_posterior,
 )
@@ -80,9 +81,17 @@ def average_over_explanations(
             searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
         )
         shifts = np.stack([-space.target_shifts(row) for row in changes])
-        mean = np.einsum("k,kti->ti", weights, shifts)
+        mean_change = (
+            weights @ changes
+            if model.hypotheses[i].is_catalogued
+            else (1.0 - weights[-1])
+            * reading_change_by_combined_hypotheses(
+                searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
+            )
+        )
+        mean = -space.target_shifts(mean_change)
         points += mean
-        change += weights @ changes
+        change += mean_change
         shift_by_laws += mean if not model.hypotheses[i].is_catalogued else 0.0
         weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(weighted_deviations)
@@ -190,6 +199,58 @@ def alternative_probabilities_and_reading_changes(
     reading_changes.append(np.zeros_like(reading_changes[0]))
     weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in other_models), none])
     return weights / weights.sum(), np.array(reading_changes)
+
+
+def reading_change_by_combined_hypotheses(
+    searcher: Searcher,
+    reduced_model: EffectModel,
+    selected_hypothesis: Hypothesis,
+    ranking: HypothesisRanking,
+    temperature: float,
+) -> Floats:
+    """Posterior mean (m,) of the change of m whitened readings by an empirical law whose form is uncertain.
+
+    The true function of the covariates is hardly ever one of the hypotheses; it is near several of them. The prior of
+    the change is therefore one normal distribution. Its covariance is the mean of the covariances of the hypotheses
+    that change the same observables as `selected_hypothesis`, weighted by their probabilities. This is the covariance
+    of the mixture of their priors. Log evidences are divided by `temperature`. `reduced_model` is the model without the
+    selected hypothesis, and `ranking` contains its alternatives. The number of combined hypotheses is limited to those
+    with a probability above `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices.
+    """
+    space, basis = searcher.residual_space, reduced_model.projected_basis
+    observables = set(selected_hypothesis.effect.observables)
+    similar = [
+        h
+        for h in ranking.hypotheses
+        if not _is_noise_hypothesis(h)
+        and set(h.effect.observables) == observables
+        and h.effect_key != selected_hypothesis.effect_key
+    ]
+    log_evidence = next(
+        (h.log_evidence for h in ranking.hypotheses if h.effect_key == selected_hypothesis.effect_key),
+        ranking.hypotheses[0].log_evidence,
+    )
+    probabilities = normalised_probabilities(np.array([log_evidence, *(h.log_evidence for h in similar)]) / temperature)
+    combined = [
+        (h.effect, float(p))
+        for h, p in zip((selected_hypothesis, *similar), probabilities, strict=True)
+        if p > MIN_PROBABILITY_OF_AVERAGED_EXPLANATION or h is selected_hypothesis
+    ]
+    ends = np.cumsum([len(effect.parameters) for effect, _ in combined]) * space.n_equations
+    combined = combined[: max(int(np.searchsorted(ends, MAX_TEMPORARY_ENTRIES, side="right")), 1)]
+    effects = [effect for effect, _ in combined]
+    spreads = [
+        np.sqrt(p) * effect.plausible_sizes * most_probable_size_factor(*moments, effect.plausible_sizes)
+        for (effect, p), moments in zip(
+            combined, searcher.evidence_calculator.grams_and_scores(effects, reduced_model), strict=True
+        )
+    ]
+    design = np.hstack([space.whitened_design(effect) for effect in effects])
+    projected = space.project(design)
+    projected -= basis @ (basis.T @ projected)
+    gram, score = projected.T @ projected, projected.T @ reduced_model.residual
+    change: Floats = design @ coefficient_posterior(gram, score, np.concatenate(spreads))[0]
+    return change
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:

@@ -242,6 +242,19 @@ def coefficient_posterior(
     )
 
 
+def most_probable_size_factor(gram: Floats, score: Floats, plausible_sizes: Floats) -> float:
+    """Factor t of `RELATIVE_EFFECT_SIZES` with the largest posterior probability, for k coefficients.
+
+    The prior of a coefficient is N(0, (t size)^2). `gram` (k, k), `score` (k,) and `plausible_sizes` (k,) are as in
+    `log_evidence_of_coefficients`.
+    """
+    eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
+    log_evidences = log_evidence_by_size(
+        (eigenvectors.T @ score) ** 2, score_weights_and_constants_by_size(eigenvalues)
+    )
+    return float(RELATIVE_EFFECT_SIZES[index_of_most_evidence(log_evidences)])
+
+
 def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and scaled eigenvectors (..., k, k).
 

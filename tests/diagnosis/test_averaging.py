@@ -12,8 +12,10 @@ from ltsim.diagnosis.averaging import (
     MAX_RELATIVE_COORDINATE_ERROR_INCREASE,
     alternative_probabilities_and_reading_changes,
     average_over_explanations,
+    expected_reading_change,
     first_order_reading_change,
     max_subtracted_shift_fraction,
+    reading_change_by_combined_hypotheses,
 )
 from ltsim.diagnosis.hypotheses import Hypothesis, HypothesisRanking
 from ltsim.diagnosis.selection_state import SelectionState
@@ -91,3 +93,30 @@ def test_noise_moves_no_target() -> None:
     assert weights.sum() == pytest.approx(1.0)
     moving = np.any(changes != 0.0, axis=1)
     assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)
+
+
+def _elevation_law(covariate: str, log_evidence: float, observable: str = "elevation") -> Hypothesis:
+    response = RESPONSE_AND_DESIGN_BY_NAME[observable][0]
+    return Hypothesis(EmpiricalLaw((), (), response, smooth_regressor(covariate)), 0.0, log_evidence, "unknown")
+
+
+def test_a_change_that_follows_two_hypotheses_is_predicted_by_both_together() -> None:
+    """The average of two hypotheses, of which each explains half of the change, would predict half of it."""
+    recording = network(faces=1, seed=3)[0]
+    laws = [_elevation_law(name, 20.0) for name in ("time", "distance")]
+    sightings = adjust(recording).sightings
+    true_change = np.zeros(recording.readings.shape)
+    true_change[:, 2] = sum(law.effect.columns(sightings)[:, 1] for law in laws) * 6.0
+    true_change *= recording.reading_sigmas()
+    baseline = adjust(recording.replace(readings=recording.readings + true_change))
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
+    searcher, space, none = case.searcher, case.residual_space, case.searcher.empty_model
+    other = _elevation_law("time", 60.0, "azimuth")
+    ranking = HypothesisRanking((other, *laws), 60.0)
+    combined = reading_change_by_combined_hypotheses(searcher, none, laws[0], ranking, 1.0)
+    average = sum(0.5 * expected_reading_change(searcher, none, law) for law in laws)
+    truth = space.whiten(true_change[:, :, None])[:, 0]
+    unexplained = [np.linalg.norm(space.project(truth - change)) for change in (combined, average)]
+    assert unexplained[0] < 0.6 * unexplained[1]
+    alone = reading_change_by_combined_hypotheses(searcher, none, laws[0], HypothesisRanking((other,), 60.0), 1.0)
+    np.testing.assert_allclose(alone, expected_reading_change(searcher, none, laws[0]), atol=0.05 * np.abs(alone).max())
