@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation
 from ltsim.adjustment.fieldcheck.result import Check, SetupCheck
+from ltsim.adjustment.fieldcheck.setup_model import SetupModel
 from ltsim.measurands.comparison import Comparison
 from ltsim.physics.model.construction import declared_construction
 from ltsim.reports import style
@@ -194,7 +194,7 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     for i, setup in enumerate(check.arrays.setup_checks):
         if setup.setup_model is None:
             continue
-        if (measured := _occupation_as_measured(check, setup)) is not None:
+        if (measured := _setup_model_as_measured(check, setup)) is not None:
             ax.plot(
                 measured.recording.time / seconds_per_unit,
                 np.sqrt(np.mean(measured.whitened_residuals**2, axis=1)),
@@ -243,14 +243,14 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
         ax.legend(loc="upper right", ncols=style.n_legend_columns(names, 5))
 
 
-def _occupation_as_measured(check: Check, setup: SetupCheck) -> StationOccupation | None:
+def _setup_model_as_measured(check: Check, setup: SetupCheck) -> SetupModel | None:
     """Model of the readings of a set-up as they were measured; None if the check did not correct them.
 
     A no-go because of an identified cause is decided on these readings, and the tests of the set-up on the corrected
     ones.
     """
-    assert setup.occupation is not None
+    assert setup.setup_model is not None
     measured = check.arrays.recording.select(setup.row_numbers - 1)
-    if np.array_equal(measured.readings, setup.occupation.recording.readings, equal_nan=True):
+    if np.array_equal(measured.readings, setup.setup_model.recording.readings, equal_nan=True):
         return None
-    return StationOccupation.from_recording(measured, declared_construction(measured))
+    return SetupModel.from_recording(measured, declared_construction(measured))
