@@ -49,12 +49,6 @@ MAX_RELATIVE_MIRROR_MISFIT = 1e-3
 """Median distance of mirrored points from reference points, divided by the network's size, below which they agree."""
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists, and of reported warnings about mirror images."""
-MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1
-"""Median time [s] from one target to the next below which the user is asked to check the unit of the time column."""
-MAX_PLAUSIBLE_TARGET_INTERVAL_S = 7200.0
-"""Median time [s] from one target to the next above which the user is asked to check the unit of the time column."""
-MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
-"""Number of changes from one target to another that a recording needs for the check of its time unit."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +113,7 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
         if _is_possible_convention(polar, a, v, is_declared=hints.vertical is not None)
     ]
     if not candidates:
-        raise RecordError("the angles have none of the units deg, gon and rad; check the columns", file=file)
+        raise RecordError(_no_convention_sentence(polar, angles, hints), file=file)
     convention, reason = candidates[0], "no other interpretation fits the values"
     if len(candidates) > 1:
         convention, reason = (
@@ -131,6 +125,19 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
     if hints.angle is None or hints.vertical is None:
         notes.append(f"angles are interpreted as {convention[0]}, vertical angles as {convention[1]} angles ({reason})")
     return (*convention, notes)
+
+
+def _no_convention_sentence(polar: PolarReadings, angles: Sequence[AngleUnit], hints: Hints) -> str:
+    """Sentence on readings that no convention permits: a mixture of vertical angles, or none of the units `angles`."""
+    lowest, highest = (float(f(polar.vertical_angles, initial=0)) for f in (np.nanmin, np.nanmax))
+    circle = FULL_CIRCLE_BY_UNIT[angles[0]]
+    if len(angles) == 1 and hints.vertical is None and lowest < 0 and circle / 4 < highest <= circle:
+        return (
+            f"the vertical angles contain {lowest:.6g}, which is no zenith angle, and {highest:.6g}, which is no "
+            "elevation of face 1: they mix zenith angles and elevations; write all of them in one kind"
+        )
+    units = "have none of the units deg, gon and rad" if len(angles) > 1 else f"are not in {angles[0]}"
+    return f"the angles {units}; check the columns"
 
 
 def _is_possible_convention(
@@ -320,23 +327,6 @@ def _unanimous_azimuth_sense(station_senses: list[int]) -> AzimuthSense | None:
     if not station_senses or min(station_senses) != max(station_senses):
         return None
     return "clockwise" if station_senses[0] else "counter-clockwise"
-
-
-def time_unit_questions(recording: Recording) -> tuple[str, ...]:
-    """Question about the unit of the time column if the time between targets is implausible; otherwise empty."""
-    is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
-    paces = np.abs(np.diff(recording.time))[is_change]
-    paces = paces[np.isfinite(paces)]
-    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES_FOR_TIME_CHECK:
-        return ()
-    pace = float(np.median(paces))
-    if MIN_PLAUSIBLE_TARGET_INTERVAL_S <= pace <= MAX_PLAUSIBLE_TARGET_INTERVAL_S:
-        return ()
-    span_s = float(np.nanmax(recording.time) - np.nanmin(recording.time))
-    return (
-        f"the {len(recording)} pointings take {span_s:.4g} s, {pace:.3g} s from one target to the next: check the unit "
-        "of the time column and give it with --columns, such as time=HEADER[h]; drifts in time depend on it",
-    )
 
 
 def vertical_sight_notes(recording: Recording) -> tuple[str, ...]:

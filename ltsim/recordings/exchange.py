@@ -13,7 +13,6 @@ from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
     mirror_image_warnings,
-    time_unit_questions,
     vertical_sight_notes,
 )
 from ltsim.recordings.face_units import face_unit_warnings
@@ -27,6 +26,7 @@ from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
 from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
+from ltsim.recordings.times import time_unit_questions
 
 RecordingSource = Recording | str | Path
 """Recording, or path of a file or folder from which one is read."""

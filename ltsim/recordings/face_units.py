@@ -102,7 +102,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
         if min(medians, default=initial) < limit:
             error, face, readings = _most_consistent(recording, candidates, medians)
             errors.setdefault((error.name, face), []).append((s, readings, error))
-    return [_joined(recording, face, group) for (_, face), group in errors.items()]
+    return [_common_face_error(recording, face, group) for (_, face), group in errors.items()]
 
 
 def _most_consistent(
@@ -131,7 +131,9 @@ def face_unit_warnings(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def _joined(recording: Recording, face: int, group: list[tuple[int, Floats, WrongColumnConversion]]) -> FaceUnitError:
+def _common_face_error(
+    recording: Recording, face: int, group: list[tuple[int, Floats, WrongColumnConversion]]
+) -> FaceUnitError:
     """Error of one face that the stations of a group have in common."""
     rows = [_rows_of_face(recording, s, face) for s, _, _ in group]
     corrected = np.concatenate([readings[r] for r, (_, readings, _) in zip(rows, group, strict=True)])

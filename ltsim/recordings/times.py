@@ -3,7 +3,16 @@
 from collections.abc import Sequence
 from datetime import datetime, time as clock, timedelta
 
+import numpy as np
+
 from ltsim.recordings.recording import Recording
+
+MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1
+"""Median time [s] from one target to the next below which the user is asked to check the unit of the time column."""
+MAX_PLAUSIBLE_TARGET_INTERVAL_S = 7200.0
+"""Median time [s] from one target to the next above which the user is asked to check the unit of the time column."""
+MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
+"""Number of changes from one target to another that a recording needs for the check of its time unit."""
 
 
 def time_text(recording: Recording, time: float) -> str:
@@ -38,3 +47,20 @@ def interval_text(
         return f"between {rows}"
     times = " and ".join(time_text(recording, float(recording.time[index])) for index in (first_index, second_index))
     return f"between {times} ({rows})"
+
+
+def time_unit_questions(recording: Recording) -> tuple[str, ...]:
+    """Question about the unit of the time column if the time between targets is implausible; otherwise empty."""
+    is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
+    paces = np.abs(np.diff(recording.time))[is_change]
+    paces = paces[np.isfinite(paces)]
+    if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES_FOR_TIME_CHECK:
+        return ()
+    pace = float(np.median(paces))
+    if MIN_PLAUSIBLE_TARGET_INTERVAL_S <= pace <= MAX_PLAUSIBLE_TARGET_INTERVAL_S:
+        return ()
+    span_s = float(np.nanmax(recording.time) - np.nanmin(recording.time))
+    return (
+        f"the {len(recording)} pointings take {span_s:.4g} s, {pace:.3g} s from one target to the next: check the unit "
+        "of the time column and give it with --columns, such as time=HEADER[h]; drifts in time depend on it",
+    )

@@ -1,6 +1,7 @@
 """Field book of a total station: set-ups over points and pointings, collected by the readers of several formats."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -132,13 +133,14 @@ class FieldBook:
         points = {name: respelled_marks.get(self.setups[name][0], self.setups[name][0]) for name in names}
         marks |= {point for point, count in Counter(points.values()).items() if count > 1}
         stations = {}
+        shared_position = self._shared_position(points)
         for name, point in points.items():
             _, height, coordinates_mm = self.setups[name]
             stations[name] = Station(
                 levelled=True,
                 over=point if point in marks else None,
                 instrument_height_mm=round(height / MILLIMETRE, 6),
-                position_mm=coordinates_mm,
+                position_mm=None if shared_position is not None else coordinates_mm,
             )
         readings = readings_of_pointings(pointings)
         instrument, noise = total_station_with_assumed_noise(readings, f"it is {kind}")
@@ -150,8 +152,21 @@ class FieldBook:
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
         spelled = spelling_notes({name: mark for name, mark in respelled_marks.items() if mark in marks})
-        all_notes = [noise, *orientation_notes, *spelled, *notes]
+        placeholders = []
+        if shared_position is not None:
+            coordinates = ", ".join(f"{value * MILLIMETRE:g}" for value in shared_position)
+            placeholders = [f"the stations have the same coordinates ({coordinates}) m, which are therefore not used"]
+        all_notes = [noise, *orientation_notes, *spelled, *placeholders, *notes]
         return with_earth_curvature(recording_from_pointings(pointings, setup, notes=all_notes, file=self.path))
+
+    def _shared_position(self, points: Mapping[str, str]) -> Vector | None:
+        """Coordinates [mm] that all set-ups have, although they are over several `points`; None otherwise.
+
+        Instruments write them, mostly zeros, if nobody entered the coordinates of a station.
+        """
+        positions = {self.setups[name][2] for name in points}
+        shared = next(iter(positions))
+        return shared if len(positions) == 1 and len(set(points.values())) > 1 else None
 
     def _separate_orientations(self) -> list[str]:
         """Replacement, in place, of each set-up with a rotated circle by one set-up for each orientation of the circle.

@@ -290,12 +290,11 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True if the columns of a row make it a header: two of direction, vertical angle and distance, or all coordinates.
-
-    Coordinates also need a column of names of targets, unless `allows_unnamed`.
-    """
-    has_coordinates = {*COORDINATE_ROLES} <= {column.role for column in columns}
-    return _count_reading_kinds(columns) > 1 or has_named_coordinates(columns) or (has_coordinates and allows_unnamed)
+    """True for titles of two kinds of reading, of named directions, or of coordinates (named, or `allows_unnamed`)."""
+    roles = {column.role for column in columns}
+    has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
+    has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)
+    return has_named_directions or has_coordinates or _count_reading_kinds(columns) > 1
 
 
 def unknown_unit_sentence(titles: Sequence[str]) -> str:

@@ -143,6 +143,7 @@ def interpret_readings(
     """
     if table.has_coordinates:
         return _readings_from_coordinates(table, hints, file)
+    _require_no_nadir_angles(table, file)
     columns = {kind[0]: table.column_with_role(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_by_kind = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     pointings = table.pointings
@@ -174,10 +175,26 @@ def interpret_readings(
     return interpretation, readings
 
 
+def _require_no_nadir_angles(table: PointingTable, file: Path) -> None:
+    """Check that no column contains nadir angles, which would be read upside down; raises RecordError.
+
+    A column that `--columns` declares as zenith angles or elevations is accepted.
+    """
+    for column in table.columns:
+        is_vertical = column.role == "vertical" or (column.is_additional and unit_in_title(column) in ANGLE_UNITS)
+        if "nadir" in column.title.lower() and is_vertical:
+            raise RecordError(
+                f"column '{safe_excerpt(column.title)}' contains nadir angles, which are not read; write zenith angles "
+                "(a half circle minus the nadir angle), or give --columns if it contains zenith angles or elevations",
+                file=file,
+            )
+
+
 def _missing_readings_notes(table: PointingTable) -> list[str]:
-    """Notes that the table lacks vertical angles or distances, although columns with unknown titles have such units."""
+    """Notes that the table lacks a kind of reading, although columns with unknown titles have its units."""
     notes = []
     for kind, name, units in (
+        (HORIZONTAL_ROLES, "azimuths", ANGLE_UNITS),
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
         (DISTANCE_ROLES, "distances", LENGTH_UNITS),
     ):
@@ -206,7 +223,7 @@ def _angle_conventions(
     column = columns["vertical"]
     role = column.role if column is not None else ""
     declared: VerticalKind | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
-    if column is None:
+    if column is None or not np.isfinite(polar.vertical_angles).any():
         declared = "elevation"
     direction_unit, vertical_unit = unit_by_column["horizontal"], unit_by_column["vertical"]
     unit = direction_unit or vertical_unit or hints.angle or ""
