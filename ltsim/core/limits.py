@@ -97,9 +97,9 @@ empty object with its comma has three characters and takes 64 bytes of memory.""
 MAX_RESULT_LIST_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Such lists have one entry per parameter, target or test; values
 of pointings are in tables. An entry takes 1 to 2 kB in a report."""
-MAX_RESULT_TEXTS = 300_000
-"""Largest number of texts, lists and objects together in a result file: 10,000 entries with 30 of them each. A text
-takes 150 bytes in a report, whose libraries take 480 MB with pictures.
+MAX_RESULT_TEXTS = 100_000
+"""Largest number of texts, lists and objects together in a result file; a plan of 1,000 points that 40 stations measure
+has 50,000. Each takes 270 bytes in a report, whose libraries take 470 MB with pictures, measured with a plan.
 """
 MAX_RESULT_TEXT_CHARACTERS = 20_000
 """Largest number of characters of a text in a result file; the longest that ltsim writes has 1,000, without texts of

@@ -255,9 +255,9 @@ def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: P
         ({"a": {f"k{i}": 1.0 for i in range(10_001)}}, "a has 10001 entries, expected at most 10000"),
         ([[1.0] * 10_001], "other has 10001 entries, expected at most 10000"),
         ({"a": "x" * 20_001}, "a has 20001 characters, expected at most 20000"),
-        ([["x"] * 10_000] * 30, "has more than 300000 texts, lists and objects"),
-        ([[[]] * 10_000] * 30, "has more than 300000 texts, lists and objects"),
-        (["x" * 19_990] * 151, "characters, expected at most 3000000 together"),
+        ([["x"] * 10_000] * 10, "has more than 100000 texts, lists and objects"),
+        ([[[]] * 10_000] * 10, "has more than 100000 texts, lists and objects"),
+        (["x" * 19_990] * 51, "characters, expected at most 1000000 together"),
         ([[1.0] * 10_000] * 20, ""),
     ],
 )
