@@ -44,15 +44,15 @@ def shared_json_values(scenarios: Iterable[BaseModel]) -> Iterator[dict[str, Any
     """JSON values of scenarios, one after the other; equal parts of different scenarios are the same object."""
     part_by_text: dict[str, Any] = {}
 
-    def shared(value: Any) -> Any:
+    def shared_value(value: Any) -> Any:
         if isinstance(value, dict):
-            value = {key: shared(part) for key, part in value.items()}
+            value = {key: shared_value(part) for key, part in value.items()}
         elif isinstance(value, list):
-            value = [shared(part) for part in value]
+            value = [shared_value(part) for part in value]
         return part_by_text.setdefault(repr(value), value)
 
     for scenario in scenarios:
-        yield {key: shared(part) for key, part in scenario.model_dump(mode="json", by_alias=True).items()}
+        yield {key: shared_value(part) for key, part in scenario.model_dump(mode="json", by_alias=True).items()}
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
