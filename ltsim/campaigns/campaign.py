@@ -21,6 +21,7 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
+from ltsim.campaigns.cell_scenarios import shared_json_values
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
@@ -317,9 +318,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         processor=processor_type(),
         commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(
-            ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
-        ),
+        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(cell.scenario for cell in cells))),
     )
 
 

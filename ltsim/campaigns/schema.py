@@ -1,7 +1,9 @@
 """Schema of manifest.json, and columns of the tables of a campaign."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from textwrap import indent
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
@@ -327,6 +329,13 @@ class ManifestFile(ResultFile):
     """Content of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell (combination of factor levels), with all its keys."""
+
+    def text(self) -> str:
+        """Text of the JSON file; scenarios are converted one by one, because 4,000 of them would take 200 MB."""
+        text = ResultFile.text(self.model_copy(update={"scenarios": ()}))
+        dumps = (scenario.model_dump(mode="json", by_alias=True, exclude_unset=True) for scenario in self.scenarios)
+        entries = ",\n".join(indent(json.dumps(dump, indent=1, allow_nan=False), "  ") for dump in dumps)
+        return text.replace('\n "scenarios": []', f'\n "scenarios": [\n{entries}\n ]', 1) if entries else text
 
     def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
