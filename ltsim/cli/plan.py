@@ -71,7 +71,7 @@ WORK_ORDER_FILE = "work-order.html"
 
 @dataclass(frozen=True)
 class PlanOptions(FunctionOptions):
-    """Options of `lt.plan`."""
+    """Command-line options that become keyword arguments of the Python function `lt.plan`."""
 
     starts: Annotated[
         int | None, bounded_option("starts", "Number of independent searches; default from the plan file.")

@@ -90,7 +90,7 @@ DetectionCurveOption = Annotated[
 
 @dataclass(frozen=True)
 class SimulateOptions(FunctionOptions):
-    """Options of `lt.simulate`."""
+    """Command-line options that become keyword arguments of the Python function `lt.simulate`."""
 
     seed: Annotated[
         int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
@@ -156,7 +156,7 @@ def _complete_scenario_text(scenario: str) -> str:
 
 @dataclass(frozen=True)
 class InjectOptions(FunctionOptions):
-    """Options of `lt.inject`."""
+    """Command-line options that become keyword arguments of the Python function `lt.inject`."""
 
     noncentrality: Annotated[
         float | None,
@@ -275,7 +275,7 @@ method = "distance"
 
 @dataclass(frozen=True)
 class DemoOptions(FunctionOptions):
-    """Options of `lt.simulate`."""
+    """Command-line options of `ltsim demo` that become keyword arguments of the Python function `lt.simulate`."""
 
     seed: Annotated[
         int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")

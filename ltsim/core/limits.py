@@ -54,9 +54,10 @@ MAX_NETWORK_SETUPS = 500
 the number of pairs of set-up and target, and of pairs of set-ups. The largest measured networks have hundreds of
 set-ups."""
 MAX_DIAGNOSED_POINTINGS = 8_000
-"""Largest number of pointings of a network that is diagnosed. The diagnosis of a misfit takes 24 s of processor time
-and 310 MB with 2,000 pointings, and 115 s and 0.85 GB with 8,000. A ring of 210 set-ups (3,360 pointings) takes 30 to
-95 s and 450 to 530 MB. Other processes ran during these measurements."""
+"""Largest number of pointings of a network that is diagnosed. The diagnosis of a recording that contradicts its model
+takes 24 s of processor time and 310 MB with 2,000 pointings, and 115 s and 0.85 GB with 8,000. A ring of 210 set-ups
+(3,360 pointings) takes 30 to 95 s and 450 to 530 MB. Other processes ran during these measurements.
+"""
 MAX_SIMULATED_POINTINGS = 300_000
 """Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
 MAX_CAMPAIGN_POINTINGS = 15_000

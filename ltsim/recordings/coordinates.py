@@ -71,7 +71,7 @@ class PointList:
     """Covariance matrix (n, 3, 3) [m^2] of the coordinates of each of the n points; NaN if not given."""
     notes: tuple[str, ...] = ()
     additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Texts of the other columns by header, one text for each point."""
+    """Texts of all columns except names, coordinates and their precision, by column header; one text for each point."""
     line_numbers: tuple[int, ...] = ()
     """Line number in the file of each point."""
     n_contradictory_rows: int = 0
@@ -240,7 +240,11 @@ class _PointRowReader:
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) by role: full matrices or standard deviations."""
+    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) of covariances or else of standard deviations.
+
+    `numbers_by_column` contains the columns by role, such as `sigma_x_mm`. The result is NaN for a point without
+    standard deviations.
+    """
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)

@@ -22,9 +22,10 @@ from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MATRIX_FIELD_SEPARATORS = ",;\t"
-"""Possible separators of the fields; the most frequent one in the first row is used."""
+"""Possible separators of the numbers in a row of the file; the most frequent one in the first row is used."""
 MAX_NUMBER_MAGNITUDE = 1e12
-"""Largest magnitude of a number that is read without a closer look."""
+"""Magnitude up to which all numbers of a row are converted together; a row with a larger one is checked cell by cell.
+"""
 _NUMBER_CHARACTERS_PATTERN = re.compile("[0-9.+eE -]*", re.ASCII)
 """Pattern of the characters of decimal numbers that blanks separate."""
 

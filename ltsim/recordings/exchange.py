@@ -33,7 +33,9 @@ RecordingSource = Recording | str | Path
 MAX_FORMAT_RECOGNITION_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MAX_NOTES_PER_FILE = 100
-"""Largest number of reader notes on one file; without it a file of unknown keywords could cause 200,000."""
+"""Largest number of notes of a reader on one file; without this limit a file of unknown keywords could cause 200,000
+notes.
+"""
 MIN_ROWS_SHOWING_MOVING_TARGET = 2
 """Smallest number of rows, with a name used before and different coordinates, that shows a moving target instead of a
 list of points. The number must also be at least the number of different names."""
@@ -78,7 +80,11 @@ def _make_format(
     write: WriteFunction | None = None,
     has_signature: bool = False,
 ) -> FileFormat:
-    """Format whose module has the functions `recognises` and `read`."""
+    """File format that is implemented by the functions `recognises` and `read` of `module`.
+
+    `name` and `description` are for users; `suffixes` of file names and `has_signature` help to recognise the format.
+    `write` is None for a format that is only read.
+    """
     return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 

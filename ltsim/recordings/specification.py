@@ -73,7 +73,9 @@ class Specification(TomlSection):
     range_offset_limit_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
     noise_variance_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
-    """Fraction of the variance that is noise of readings; the rest is the prior variance of instrument parameters."""
+    """Fraction of the variance derived from each limit that is noise of readings; the rest is the prior variance of
+    instrument parameters.
+    """
 
     @model_validator(mode="after")
     def _check_positive_limits(self) -> Self:

@@ -19,7 +19,7 @@ N_STANDS_PER_BATCH = 64
 
 @dataclass(frozen=True)
 class StandClearance:
-    """Clearance around stands: an upright cylinder about the axis of each instrument, from the floor to its centre.
+    """Clearance around stands: an upright cylinder below each instrument, from the floor to the centre of its head.
 
     Bodies below the height of the instrument must stay outside the cylinder. Bodies above it, such as a gallery or a
     crane, do not matter.
@@ -65,7 +65,7 @@ class StandClearance:
         return has_room
 
     def nearest_body(self, position: Floats) -> tuple[float, str]:
-        """Horizontal distance [m] from an instrument position (3,) [m] to the nearest body in the cylinder, its name.
+        """Horizontal distance [m] from an instrument position (3,) [m] to the nearest body in the cylinder; its name.
 
         The distance is infinite without such a body, and the name is empty for a body without a name.
         """

@@ -271,7 +271,7 @@ def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
 
 
 def rotate_and_shift_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
-    """Triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
+    """Triangles (m, 3, 3) [m] turned counter-clockwise about z by `yaw` [rad], then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
 

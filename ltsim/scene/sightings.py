@@ -33,7 +33,7 @@ class Sightings:
     repeat: Ints
     """Number of the round of measurements of each of n pointings, (n,); a station may repeat its round."""
     time: Floats
-    """Time of each of n pointings, (n,) [s]."""
+    """Time of each of n pointings since the start of the recording, (n,) [s]."""
     station_positions: Floats
     """Origins of the instruments at S stations, (S, 3) [m]."""
     station_rotations: Floats
@@ -133,12 +133,18 @@ class Sightings:
 
     @cached_property
     def local_derivatives(self) -> Floats:
-        """Derivatives (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
+        """Derivatives (n, 3, 3) of the raw range, azimuth and elevation of n pointings by x, y, z of the reflector.
+
+        Rows are readings, columns coordinates in the instrument frame; units are 1 for the range and rad/m for angles.
+        """
         return polar_jacobian(self.ideal_front_face_readings, self.face)
 
     @cached_property
     def target_derivatives(self) -> Floats:
-        """Derivatives (n, 3, 3) of the raw readings of n pointings by the target coordinates in the network frame."""
+        """Derivatives (n, 3, 3) of the raw range, azimuth and elevation of n pointings by x, y, z of the target.
+
+        Rows are readings, columns coordinates in the network frame; units are 1 for the range and rad/m for angles.
+        """
         return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
 
     @cached_property
@@ -157,8 +163,8 @@ class Sightings:
     def reading_change_by_error_key(self) -> dict[str, Floats]:
         """Change (n, 3) [m, rad] of the readings of n pointings per unit of each instrument error, by key of the error.
 
-        The keys are those of `MISALIGNMENT_CHAIN`. An instrument error is a correction, which is added to a reading.
-        The reading of a fixed point is therefore smaller by its correction, hence the minus sign.
+        The keys are those of `MISALIGNMENT_CHAIN`. An instrument error is a correction, which is added to a reading:
+        for a fixed point, a larger correction means a smaller reading.
         """
         error_keys = {motion.error_key for motion in MISALIGNMENT_CHAIN}
         _, derivatives_by_key = points_and_error_derivatives(
@@ -202,7 +208,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Sum (n,) of the increments (n,) of n pointings from the second pointing of the station to each pointing."""
+        """Cumulative sum (n,) of the increments (n,) over the pointings of each station, except its first pointing."""
         row_order = self.pointing_order_by_station
         first_indices = np.maximum.accumulate(
             np.where(self.previous_pointing_indices[row_order] < 0, np.arange(len(row_order)), 0)
@@ -228,7 +234,10 @@ class Sightings:
 
     @cached_property
     def cumulative_head_rotation(self) -> Floats:
-        """Rotation (n,) [rad] of the head at n pointings since the station's first pointing, with full turns."""
+        """Rotation (n,) [rad] of the azimuth axis, counter-clockwise, since the station's first pointing.
+
+        Full turns count, so that the angle may exceed 2 pi.
+        """
         return self._cumulative_sum(self.reading_changes_since_previous_pointing[:, 1])
 
     @cached_property
@@ -328,7 +337,10 @@ class Sightings:
 
     @property
     def incidence_angle(self) -> Floats:
-        """Angle (n,) [rad] between the beam and the normal of the nest in n pointings; NaN if the normal is unknown."""
+        """Direction (n,) [rad] to the station in n pointings, as an angle around the normal of the nest.
+
+        Seen from the front of the nest, 0 is horizontal to the right, and pi / 2 is upwards.
+        """
         return self._incidence_angle_and_direction[0]
 
     @property

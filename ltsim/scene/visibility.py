@@ -67,7 +67,8 @@ class SightLimits:
     """Largest angle of incidence [rad] on a reflector."""
     declared_shadow_cone_opening: float | None = None
     """Full opening angle [rad] of the shadow cone: the cone below the instrument in which its stand hides targets. If
-    None, the angle follows from `elevation_min`."""
+    None, the angle is computed from `elevation_min`.
+    """
 
     @property
     def shadow_cone_opening(self) -> float:
@@ -137,11 +138,14 @@ class Visibility:
 
     @property
     def is_marginal(self) -> Bools:
-        """Flags (S, T) of lines of sight that are not free from all positions within the tolerance of the station."""
+        """True (S, T) for lines of sight that are free from the station, but not from all points of its tolerance."""
         return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL_SIGHT)
 
     def with_marginal_pairs(self, is_marginal: Bools) -> Visibility:
-        """Copy in which visible pairs of station and target with a flag in `is_marginal` (S, T) become invisible."""
+        """Copy in which pairs of station and target that are True in `is_marginal` (S, T) count as not visible.
+
+        A pair is marginal if its line of sight is blocked from a position within the tolerance of the station.
+        """
         codes = np.where(self.is_visible & is_marginal, np.int8(InvisibilityReason.MARGINAL_SIGHT), self.reason_codes)
         return replace(self, reason_codes=codes)
 

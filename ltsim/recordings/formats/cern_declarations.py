@@ -227,7 +227,7 @@ class TargetSigmas:
     distance_sigma_mm: float
     """Constant part [mm] of the standard deviation of a distance."""
     distance_sigma_ppm: float
-    """Part of the standard deviation of a distance that is proportional to the distance."""
+    """Part [ppm] of the standard deviation of a distance that is proportional to the distance."""
     target_height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:

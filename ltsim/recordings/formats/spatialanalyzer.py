@@ -281,7 +281,9 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     """
     clusters: list[tuple[Floats, list[str]]] = []
     indices_by_cell: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
-    """Indices of the clusters in each cell of a grid, of which a point has near ones in its own and adjacent cells."""
+    """Indices of the clusters of positions, by cell of a cubic grid; a cluster near a position is in its cell or an
+    adjacent one.
+    """
     for group, members in groups.items():
         centre = np.median([position for _, position in members], axis=0)
         cell = np.floor(centre / MAX_SAME_POINT_DISTANCE).tolist()

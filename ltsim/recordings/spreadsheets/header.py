@@ -192,9 +192,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
-    """Column with the role of standard deviations of distances if its title is sD; other columns unchanged.
+    """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
 
-    It is applied only in tables with another column of distances; elsewhere the title denotes slope distances (SD).
+    It is for tables with another column of distances; elsewhere the title denotes slope distances (SD).
     """
     is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
     return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column
@@ -290,7 +290,10 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True for titles of two kinds of reading, of named directions, or of coordinates (named, or `allows_unnamed`)."""
+    """True if titles are the header of measurements: readings of two kinds, named directions, or coordinates.
+
+    Names of the points are required for directions, and for coordinates except with `allows_unnamed`.
+    """
     roles = {column.role for column in columns}
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
     has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)

@@ -58,7 +58,7 @@ class StationContext:
         return station is not None or bool(heights)
 
     def missing_height_columns(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
-        """Columns for heights that lines have given and the header lacks; their positions follow those of `columns`."""
+        """Columns for heights that lines have given and the header lacks, with positions after those of `columns`."""
         roles = {column.role for column in columns}
         further_columns = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(further_columns)]

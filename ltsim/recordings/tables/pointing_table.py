@@ -59,7 +59,7 @@ def apply_exactly(
     """Floating-point numbers (n,) nearest to exact results of `function(digits * factor)`; NaN for a missing number.
 
     `function` gets two arguments: the products (n,) as integers, in units of their last digit, and the integer that
-    represents 1.0.
+    represents 1.0. By default it returns the products.
     """
     numbers = np.full(len(digits), np.nan)
     filled = digits != b""
@@ -205,7 +205,7 @@ def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType],
 
 @dataclass
 class PointingTable:
-    """Pointings and columns of a file or folder, with what readers determined about them."""
+    """Pointings and columns of a file or folder, with the properties that its readers determined."""
 
     columns: list[TableColumn]
     pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)

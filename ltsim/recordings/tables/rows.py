@@ -174,7 +174,7 @@ class _SheetReader:
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
     def _read_rows(self, sheet_rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
-        """Pointings in these rows; with `reads_all` every row that is not a comment is taken as a pointing."""
+        """Pointings in `sheet_rows`; with `reads_all` every row that is not a comment is taken as a pointing."""
         last_index = len(sheet_rows) - 1
         for i, row in enumerate(sheet_rows):
             measured = (reads_all and not row.is_comment) or self._is_measured(row)

@@ -165,8 +165,8 @@ def split_occupations(
     Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`) show rotations
     of the circle.
 
-    The results are names of set-ups and notes. Each named set-up shares an occupation, and thus its position, with
-    another.
+    The results are the names of those set-ups that share an occupation, and thus the position, with another set-up, and
+    notes.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
