@@ -291,7 +291,11 @@ def parse_toml_value(text: str) -> Any:
 
 
 def with_datum_in_frame(recording: Recording, frame: Path) -> Recording:
-    """Recording whose datum is in the frame of a file or of a built-in scenario; raises RecordError or InputError."""
+    """Copy of `recording` whose adjustment has the coordinate frame that `frame` defines.
+
+    `frame` is a list of points, a TOML file with three targets that define the axes, or a scenario (file or built-in
+    name). Raises RecordError or InputError.
+    """
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

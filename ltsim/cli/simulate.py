@@ -369,7 +369,9 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
     "inject a fault into another recording, and diagnose this recording": diagnose_injected_effect,
     "write one page about all results": write_demo_page,
 }
-"""Steps of the demonstration in order: title, and function of folder and seed that returns a text on the outcome."""
+"""Steps of the demonstration in order: title, and function of output folder and random seed that returns a text on the
+outcome.
+"""
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
     "workshop/truth.json": NEW_FILE_OUTPUT,

@@ -46,7 +46,7 @@ MIN_DECISIVE_CONVENTION_RATIO = 10.0
 """Smallest ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
 (second-best to best), or of the numbers of agreeing targets (best to second-best)."""
 MAX_RELATIVE_MIRROR_MISFIT = 1e-3
-"""Median distance of mirrored points from reference points, divided by the network's size, below which they agree."""
+"""Limit for agreement of mirrored points with reference points: median distance, divided by the size of the network."""
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that one note lists; also the largest number of warnings about mirror images."""
 

@@ -43,7 +43,9 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
 MIN_EIGENVALUE_PER_ROW = -1e-9
-"""Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
+"""Smallest permitted eigenvalue of a correlation matrix, divided by its number of rows; rounding may make a zero
+eigenvalue negative.
+"""
 MAX_COORDINATE_READ_AS_METRES = 500.0
 """Number below which the largest coordinate of a list without unit is read in metres; otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6

@@ -29,7 +29,7 @@ from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 from ltsim.recordings.times import time_unit_questions
 
 RecordingSource = Recording | str | Path
-"""Recording, or path of a file or folder from which one is read."""
+"""Recording, or path of a file or folder from which a recording is read."""
 MAX_FORMAT_RECOGNITION_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MAX_NOTES_PER_FILE = 100

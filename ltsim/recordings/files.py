@@ -191,7 +191,10 @@ class SourceLocation:
         return name
 
     def checked_text(self, text: str, column: str | None = None) -> str:
-        """Unchanged `text`, checked to be a short line without control characters and markup; raises RecordError."""
+        """Unchanged `text`, checked to be one line of at most `MAX_CELL_TEXT_LENGTH` characters; raises RecordError.
+
+        Control characters and markup are refused.
+        """
         has_markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_CELL_TEXT_LENGTH or has_markup:
             reason = (

@@ -32,9 +32,9 @@ class StandClearance:
 
     @cached_property
     def _triangle_tree(self) -> shapely.STRtree:
-        """Search tree of the bounding rectangles of the triangles, seen from above, given by their diagonals.
+        """Search tree of the triangles by their bounding rectangles, seen from above.
 
-        The diagonals have the same bounding rectangles and take half of the memory.
+        A triangle is represented by a diagonal of its rectangle, which takes half of the memory of the rectangle.
         """
         low, high = self.obstacles.triangles[:, :, :2].min(axis=1), self.obstacles.triangles[:, :, :2].max(axis=1)
         return shapely.STRtree(shapely.linestrings(np.stack([low, high], axis=1)))
@@ -85,7 +85,10 @@ class StandClearance:
         return self.obstacles.floor_height + RAY_BUNDLE_RADIUS
 
     def _triangles_around(self, position: Floats) -> tuple[Ints, Ints]:
-        """Pairs (k,) and (k,) of a stand, of N at `position` (N, 3) [m], and a triangle that may be in its cylinder."""
+        """Indices (k,) of stands and indices (k,) of triangles: k pairs whose triangle may be in the cylinder.
+
+        The stands are those at N instrument positions `position` (N, 3) [m].
+        """
         x, y, top = position.T
         boxes = shapely.box(x - self.radius, y - self.radius, x + self.radius, y + self.radius)
         stand, triangle = self._triangle_tree.query(boxes)

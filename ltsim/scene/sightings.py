@@ -244,8 +244,8 @@ class Sightings:
     def approach_signs(self) -> Floats:
         """Signs (n, 2) of the last rotation of the azimuth axis and of the elevation axis before each of n pointings.
 
-        An axis that does not move keeps the sign of its previous rotation. The sign is 0 until the first rotation at a
-        station.
+        The sign is +1 if the reading increased, -1 if it decreased. An axis that does not move keeps its sign. The sign
+        is 0 until the first rotation at a station.
         """
         sign = np.where(
             np.abs(self.reading_changes_since_previous_pointing[:, 1:]) < MIN_AXIS_ROTATION,

@@ -290,9 +290,8 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True if titles are the header of measurements: readings of two kinds, named directions, or coordinates.
-
-    Names of the points are required for directions, and for coordinates except with `allows_unnamed`.
+    """True for titles of two kinds of reading, of directions and names, or of x, y, z and (unless `allows_unnamed`)
+    names.
     """
     roles = {column.role for column in columns}
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)

@@ -12,7 +12,9 @@ from ltsim.recordings.spreadsheets.sheets import SheetRow
 INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")
 )
-"""Words that precede the name of an instrument in a line; without a line that names the station, this is its name."""
+"""Words that precede the name of an instrument in a line. It is also the name of the station if no line names a
+station.
+"""
 STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
 """Words that precede the name of a station only if a colon or an equals sign follows; otherwise they are part of a
 text."""

@@ -199,10 +199,11 @@ def _possible_conventions(
 def _distance_assignments(
     role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
-    """Assignment `role=title[unit]` for the first candidate column whose cells may be distances, as [[assignment]].
+    """Assignment `role=title[unit]` for the first candidate column whose cells may be distances.
 
-    The result is [] if there is no such column. The unit is that in the title. Without one it is the metre if the
-    column `angle` is in degrees, minutes and seconds; otherwise the size of the numbers decides.
+    The result is a list with one list, which has the assignment; it is empty if there is no such column. The unit is
+    that in the title. Without one it is the metre if the column `angle` is in degrees, minutes and seconds; otherwise
+    the size of the numbers decides.
     """
     candidates = [
         i

@@ -271,7 +271,7 @@ def _unit_reason(role: str, unit: str, interpretation: TableConventions) -> str:
 def _covariate_values(
     column: TableColumn, pointings: UnconvertedPointings, interpretation: TableConventions
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None for texts.
+    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None if a cell has a text.
 
     The number of an empty cell is NaN.
     """

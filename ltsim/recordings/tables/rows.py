@@ -83,7 +83,7 @@ def read_pointing_table(
 
 
 def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """Columns with the cells of `row` as titles; None if the row is not a header."""
+    """Columns with titles from `row`, and contents from title or `hints.columns`; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
     if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_numeric, row.fields)):

@@ -326,7 +326,8 @@ def with_setups_over_marks(
 def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
     """True if lines measured in both directions agree in length and, if elevations were measured, in height.
 
-    The median misclosure decides. Heights above survey marks are not applied; the curvature of the earth is.
+    The median misclosure decides. It takes account of the curvature of the earth, but not of heights above survey
+    marks.
     """
     lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
