@@ -233,9 +233,9 @@ HeldOutErrorOption = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="Compute the held-out error by 5-fold cross-validation: each of five searches predicts the fifth of the "
-        "readings that it does not use. Effects that predict worse than no effect are reported as improbable. Default: "
-        "only for small recordings.",
+        help="Compute the held-out error by 5-fold cross-validation: the diagnosis is repeated five times, each time "
+        "without a fifth of the readings, which it then predicts. Effects that predict worse than no effect are "
+        "reported as improbable. Default: only for small recordings.",
     ),
 ]
 

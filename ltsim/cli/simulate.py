@@ -63,8 +63,9 @@ InjectedEffectsArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
-        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR'. After a colon, give stations, targets and "
-        "NAME=VALUE of constants and parameters, with commas between: range-step:S3,range-step=50. Values that are not "
+        help="Effects of the catalogue, or laws (changes of a reading as a function of a variable) written as "
+        "'RESPONSE ~ REGRESSOR', such as 'vertical index ~ time'. After a colon, give stations, targets and NAME=VALUE "
+        "of constants and parameters, with commas between: range-step:S3,range-step=50. Values that are not "
         "given are drawn at random.",
     ),
 ]

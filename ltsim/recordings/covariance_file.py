@@ -45,7 +45,10 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     matrix = np.zeros((len(names), len(names)))
     for i, (name, row) in enumerate(zip_longest(names, rows)):
         if name is None or row is None or unescape_cell_text(row[1][0]) != name:
-            raise RecordError("lacks rows in the order of its columns", file=path)
+            raise RecordError(
+                "has rows in another order than its columns; put the row of each coordinate in the order of the header",
+                file=path,
+            )
         line, fields = row
         if len(fields) != 1 + len(names):
             raise RecordError("has rows whose length differs from the header", file=path)

@@ -48,6 +48,6 @@ def with_earth_curvature(recording: Recording) -> Recording:
             f"; the coefficient of refraction is estimated from {DEFAULT_REFRACTION_AND_SIGMA[0]:g} +- "
             f"{DEFAULT_REFRACTION_AND_SIGMA[1]:g}, which bends that sight by "
             f"{DEFAULT_REFRACTION_AND_SIGMA[0] * drop:.2g} +- {DEFAULT_REFRACTION_AND_SIGMA[1] * drop:.2g} mm "
-            "(refraction = [...] in setup.toml)"
+            "(for other values set refraction = [value, sigma] in setup.toml)"
         )
     return recording.replace(setup=setup.model_copy(update=setup_changes), notes=(*recording.notes, note))

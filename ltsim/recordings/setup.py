@@ -52,7 +52,7 @@ class Noise(TomlSection):
     @model_validator(mode="after")
     def _check_range_noise(self) -> Noise:
         if max(self.distance_mm, self.distance_ppm) < MIN_SIGMA:
-            raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
+            raise ValueError("distance_mm and distance_ppm should not both be 0")
         return self
 
 
@@ -83,7 +83,7 @@ class ElevationLimits(TomlSection):
     @model_validator(mode="after")
     def _check_elevation_order(self) -> ElevationLimits:
         if self.elevation_min_deg >= self.elevation_max_deg:
-            raise ValueError("it should have elevation_min_deg below elevation_max_deg")
+            raise ValueError("elevation_min_deg should be below elevation_max_deg")
         return self
 
 
@@ -207,7 +207,7 @@ class Station(TomlSection):
     @model_validator(mode="after")
     def _check_orientation(self) -> Station:
         if self.yaw_sigma_arcsec is not None and (self.yaw_deg is None or not self.levelled):
-            raise ValueError("it should have yaw_deg, and levelled = true, with yaw_sigma_arcsec")
+            raise ValueError("yaw_sigma_arcsec needs the keys yaw_deg and levelled = true in this table")
         return self
 
 
@@ -312,8 +312,8 @@ class BenchTest(TomlSection):
         if len(set(counts)) > 1 or counts[0] < MIN_BENCH_ANGLES:
             angles, errors, sigmas = counts
             raise ValueError(
-                f"it has {angles} angles, {errors} errors and {sigmas} sigmas, expected as many of each, "
-                f"{MIN_BENCH_ANGLES} or more"
+                f"the table has {angles} values of angle_deg, {errors} of error_um and {sigmas} of sigma_um, expected "
+                f"equal numbers of at least {MIN_BENCH_ANGLES}"
             )
         return self
 

@@ -81,7 +81,7 @@ class Specification(TomlSection):
     def _check_positive_limits(self) -> Self:
         for kind in ("transverse", "range"):
             if not getattr(self, f"{kind}_limit_um") and not getattr(self, f"{kind}_limit_um_per_m"):
-                raise ValueError(f"it should not be 0 in both {kind}_limit_um and {kind}_limit_um_per_m")
+                raise ValueError(f"{kind}_limit_um and {kind}_limit_um_per_m should not both be 0")
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:

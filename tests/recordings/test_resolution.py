@@ -50,5 +50,5 @@ def test_rounding_alone_does_not_contradict_the_model(tmp_path: Path) -> None:
 
 def test_lengths_converted_from_feet_are_no_laser_tracker(tmp_path: Path) -> None:
     recording = table(tmp_path / "a.csv", 1.0, 0.001 * FOOT_M)
-    assert "because its ranges are written to 0.3 mm" in recording.notes[0]
+    assert "because the ranges are written to 0.3 mm" in recording.notes[0]
     assert "default noise of a laser tracker" in table(tmp_path / "b.csv", 0.01, 1e-6).notes[0]

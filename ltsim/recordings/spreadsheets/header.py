@@ -290,9 +290,7 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True for titles of two kinds of reading, of directions and names, or of x, y, z and (unless `allows_unnamed`)
-    names.
-    """
+    """True for titles of two kinds of reading, directions and names, or x, y, z (with names or `allows_unnamed`)."""
     roles = {column.role for column in columns}
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
     has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)

@@ -247,7 +247,7 @@ class PointingTable:
             for table_columns in (self.columns, columns)
         )
         if earlier_columns and earlier_columns != new_columns:
-            message = "the columns differ from those of earlier headers, expected the same roles and units"
+            message = "the columns differ from those of earlier headers, expected the same contents and units"
             raise SourceLocation(file, row).error(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
