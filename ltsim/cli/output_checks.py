@@ -195,7 +195,7 @@ class _UnchangedOutput(NamedTuple):
 
 
 def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOutput | None:
-    """Marker with the return value of `write` if the output exists with the same content; None for a new output.
+    """Marker, with the return value of `write`, that the output exists with the same content; None for a new output.
 
     Raises RecordError if the output exists with other content.
     """

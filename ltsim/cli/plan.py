@@ -160,7 +160,7 @@ def plan(
 
 
 def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
-    """Output of other positions for a station, and of the command that moves the station to the best of them.
+    """Output of alternative positions for a station, and of the command that moves it to the best position.
 
     `source` is the plan of which the station is a part.
     """

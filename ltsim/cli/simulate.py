@@ -146,7 +146,7 @@ def simulate(
 
 
 def _complete_scenario_text(scenario: str) -> str:
-    """Text of a scenario with all keys: the commented file of a built-in one, other files with defaults added."""
+    """Text of a scenario with all keys: the commented file of a built-in scenario, or a file with defaults added."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text

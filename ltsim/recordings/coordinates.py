@@ -134,7 +134,7 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
-    """Columns of a list of points without header, preceded by 0, the number of header rows; None for other content."""
+    """Number of header rows, 0, and columns of a list of points without header; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
     if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
@@ -148,7 +148,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point, and columns with the roles from the header; None without such a header."""
+    """Number of rows before the first point, and columns with contents by the header; None if there is no header."""
     for place, row in enumerate(sheet_rows):
         if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue

@@ -182,8 +182,9 @@ class Station(TomlSection):
     """
 
     position_mm: Vector | None = None
-    """Approximate position of the tracker head on the floor plan, without weight. These positions also define the axes
-    of the floor plan in the network frame, in which nest normals are given."""
+    """Approximate position of the tracker head on the floor plan, without weight. The positions of all stations also
+    determine the axes of the floor plan in the network frame. Nest normals are given in these axes.
+    """
     yaw_deg: Finite | None = None
     """Direction of azimuth zero, counter-clockwise from the x axis (seen from above): an approximate value without
     weight, used if fewer than three stations have `position_mm`.

@@ -48,9 +48,10 @@ class StandClearance:
         return np.concatenate([*room_flags, np.zeros(0, dtype=bool)])
 
     def _has_room_by_batch(self, position: Floats) -> Bools:
-        """Flags (N,) as in `has_room`; corners of triangles are tested first, and their edges where this is not enough.
+        """Flags (N,): True for each of N instrument positions (N, 3) [m] without a body in the cylinder below it.
 
-        Next to a CAD file with many triangles a corner is nearly always in the cylinder if any part of a body is.
+        Edges of triangles are tested only if no corner is in the cylinder: of a CAD file with many triangles, a corner
+        is nearly always in the cylinder if any part is.
         """
         stand, triangle = self._triangles_around(position)
         corners, stands = self.obstacles.triangles[triangle], position[stand, None]

@@ -190,7 +190,7 @@ class Obstacles:
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
     def body_names_around(self, points: Floats, *, of_setups: bool = False) -> list[str]:
-        """Names of bodies around any of n points (n, 3) [m], or (`of_setups`) around instruments or their tripods."""
+        """Names of the bodies that contain points (n, 3) [m] or, with `of_setups`, instruments there or tripods."""
         names, start = [], 0
         for name, n_triangles in self.body_names_and_triangle_counts:
             body = Obstacles(self.triangles[start : start + n_triangles], self.floor_height)

@@ -39,7 +39,7 @@ MAX_REGION_CENTRES_PER_AXIS = 10
 GRID_SUBDIVISIONS_BY_N_AXES = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Divisors of the spacing of the coarsest grid that give the grids of candidate regions, by the number of bounded axes.
 A disturbance narrower than the spacing needs a finer grid: a region several times wider than the disturbance has only a
-tenth of the log evidence (logarithm of the marginal likelihood).
+tenth of the log evidence (logarithm of the marginal likelihood) of a region of the right width.
 """
 MIN_LINES_THROUGH_REGION = 6
 """Smallest number of lines of sight through a candidate region (possible place of a disturbance); fewer lines show an
@@ -176,8 +176,8 @@ def lever_weighted_path_lengths_in_regions(
 ) -> Floats:
     """Path lengths (r, n) [m] of n lines of sight in r regions, weighted by the lever to the end of each line.
 
-    The weights are those in `HallRegion.lever_weighted_path_lengths`. `path_lengths` (r, n) [m] is the result of
-    `path_lengths_in_regions` for these regions.
+    A part of the line, at the distance s from the station, has the weight (d - s) / d, with the length d of the line.
+    `path_lengths` (r, n) [m] is the result of `path_lengths_in_regions` for these regions.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     lever = 0.5 * path_lengths  # w is constant along a parallel line
@@ -224,8 +224,9 @@ def _line_integral(
 ) -> Floats:
     """Integral (..., n) [m] of the weight w of a region along n lines of lengths `line_lengths` (n,) [m].
 
-    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
-    `_nearest_approach`. `sigma_along_line` (n,) [m] is the standard deviation of w along each line.
+    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the distance along the line to the
+    point nearest to the centre, and the vector from the centre to this point in k bounded coordinates.
+    `sigma_along_line` (n,) [m] is the standard deviation of w along each line.
     """
     from scipy.special import ndtr
 

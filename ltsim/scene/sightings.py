@@ -55,8 +55,9 @@ class Sightings:
     vector is the offset of the reflector from its target minus the offset of the instrument from its station. None if
     all are zero."""
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) [m, rad] of n pointings with the instrument's errors; errors with a short period depend on
-    them. If None, ideal (error-free) readings are used."""
+    """Raw readings (n, 3) [m, rad] of n pointings with the instrument's errors, on which encoder errors with a short
+    period depend. If None, ideal (error-free) readings are used.
+    """
 
     def __len__(self) -> int:
         return len(self.station)
@@ -260,7 +261,7 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of target changes at a station before n pointings; each change is a new seating of the SMR."""
+        """Number (n,) of target changes at a station before each pointing; each is a new seating of the SMR."""
         return self._cumulative_sum(self.target != self.target[self.previous_pointing_indices]).astype(np.int64)
 
     @cached_property

@@ -109,7 +109,7 @@ class Visibility:
         ]
 
     def short_reason_texts(self) -> list[list[str]]:
-        """Reasons as in `reason_texts`, but without measured values and limits: S lists of T texts."""
+        """Reason why each target is not visible from each station, without numbers: S lists of T texts."""
         return [[INVISIBILITY_REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
@@ -236,8 +236,8 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
     """Angles (S, T) [rad] between the directions to S stations and the normals of the nests of T targets.
 
-    `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) and `is_reaimed` (T,) are as
-    in `compute_visibility`. The angle is 0 for reflectors that are turned to the station.
+    `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) are unit vectors, NaN if
+    unknown. The angle is 0 for reflectors that are turned to the station before each pointing, `is_reaimed` (T,).
     """
     if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])

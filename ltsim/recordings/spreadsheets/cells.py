@@ -223,7 +223,7 @@ def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal |
 
 
 def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
-    """Exact value as from `parse_number_or_angle`; None for a cell that is a date or a time.
+    """Exact value of a number or angle [deg] in a cell; None for other cells, such as a date or a time.
 
     `thousands_separator` is the separator used in the sheet, '' for none.
     """

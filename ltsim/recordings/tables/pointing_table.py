@@ -155,7 +155,7 @@ class UnconvertedPointings:
 
     @property
     def complete_columns(self) -> tuple[list[Any], ...]:
-        """Lists with an entry for every row (file, line, station, ...), in the order of the fields."""
+        """Lists with an entry for every row (file, line, station, ...), in the order of the fields of this class."""
         names = (self.station, self.target)
         return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.thousands_separator)
 
@@ -205,7 +205,7 @@ def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType],
 
 @dataclass
 class PointingTable:
-    """Pointings and columns of a file or folder, with the properties that its readers determined."""
+    """Pointings and columns of a file or folder, with ignored lines, units of cells and notes for the user."""
 
     columns: list[TableColumn]
     pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)

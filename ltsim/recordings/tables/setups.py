@@ -67,7 +67,7 @@ OccupationKey = tuple[str, ...]
 def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
     """Name of the target of each pointing, equal for all set-ups, and notes on changed names.
 
-    If all targets have names that contain the name of their set-up, it is removed, provided that set-ups then have
+    If the names of all targets contain the name of their set-up, this part is removed, provided that set-ups then have
     common targets. Names that differ only in case, blanks or leading zeros become one name, if no set-up uses both.
     """
     sightings, row = distinct_with_indices(zip(pointings.station, pointings.target, strict=True))
