@@ -168,7 +168,7 @@ class LengthGauge(TomlSection):
     """Standard deviation of a scale error that all lengths share. From 1000 ppm on, the adjustment uses only the ratios
     of lengths."""
     materials: dict[str, Material] | None = None
-    """Other materials by name, tables `[gauge.materials.NAME]`."""
+    """Materials of the reference lengths by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
     """Reference lengths, one table `[[gauge.distance]]` each."""
 

@@ -221,7 +221,7 @@ class PointingTable:
     """Name of the survey mark under a set-up, by name of the set-up, if both names differ."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
-    """Unit of the symbols in the cells of a column, by title of the column."""
+    """Unit that symbols after the numbers in the cells of a column denote, by title of the column."""
 
     def column_with_role(self, kind: Sequence[str]) -> TableColumn | None:
         """First column whose role (content, such as `azimuth`) is in `kind`; None if there is no such column."""
