@@ -39,7 +39,7 @@ def test_noise_is_no_smaller_than_the_step_of_the_readings(
     noise = recording.setup.instrument.noise
     assert noise.distance_mm == pytest.approx(distance_mm) and noise.azimuth_arcsec == pytest.approx(angle_arcsec)
     assert noise.elevation_arcsec == noise.azimuth_arcsec
-    text = f"total station is used ({distance_mm:g} mm + 1.5 ppm, {angle_arcsec:g} arcsec), because its ranges"
+    text = f"total station is used ({distance_mm:g} mm + 1.5 ppm, {angle_arcsec:g} arcsec), because the ranges"
     assert text in recording.notes[0]
 
 
