@@ -46,7 +46,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     for i, (name, row) in enumerate(zip_longest(names, rows)):
         if name is None or row is None or unescape_cell_text(row[1][0]) != name:
             raise RecordError(
-                "has other rows than columns, or another order; write a row for each coordinate, in the order of the header",
+                "has other rows than columns, or another order; give a row per coordinate, in the order of the header",
                 file=path,
             )
         line, fields = row

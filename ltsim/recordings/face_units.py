@@ -54,7 +54,7 @@ class FaceUnitError:
     stations: tuple[str, ...]
     """Names of the stations."""
     pointing_indices: Ints
-    """Indices (k,) of the wrong pointings."""
+    """Indices (k,) of the k pointings with the wrong readings."""
     corrected_readings: Floats
     """Readings (k, 3) [m, rad, rad] without the error."""
 

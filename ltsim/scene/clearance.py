@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.scene.meshes import RAY_BUNDLE_RADIUS, Obstacles
 
 CLEARANCE_TOLERANCE = 1e-9
-"""Largest amount [m] by which a body may be closer than the clearance without breaking the rule: rounding."""
+"""Amount [m] by which a body may be closer to the axis of a stand than the clearance, to allow for rounding errors."""
 N_STANDS_PER_BATCH = 64
 """Number of stands whose distances from the triangles around them are computed together."""
 

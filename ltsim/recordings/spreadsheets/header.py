@@ -290,7 +290,10 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True for titles of two kinds of reading, directions and names, or x, y, z (with names or `allows_unnamed`)."""
+    """True for titles of two kinds of reading, of directions and names, or of coordinates x, y, z and names.
+
+    With `allows_unnamed`, coordinates need no names.
+    """
     roles = {column.role for column in columns}
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
     has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)
@@ -388,10 +391,7 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of reading (``horizontal``, ``vertical``, ``distance``) in a column with this role; other roles unchanged.
-
-    The role of a column is its content, such as `zenith`.
-    """
+    """Kind of reading (``horizontal``, ``vertical``, ``distance``) of a column with this role; other roles unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]
