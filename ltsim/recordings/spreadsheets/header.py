@@ -391,7 +391,7 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of reading (``horizontal``, ``vertical``, ``distance``) of a column with this role; other roles unchanged."""
+    """Kind of reading (``horizontal``, ``vertical``, ``distance``) of a role of columns; other roles unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]
