@@ -40,7 +40,7 @@ MAX_SAME_POINT_DISTANCE = 2e-3
 MAX_REPORT_OBSERVATIONS = 150_000
 """Largest permitted number of observations in a report; each takes 2.4 kB of memory and 0.1 ms."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
-"""Roles of the columns in the table of a set-up, in the notation of the option `--columns`."""
+"""Contents (roles) of the columns in the table of a set-up, in the notation of the option `--columns`."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that the table of a set-up must have, with their permitted units; None for a column without unit."""
 USED_REPORT_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")

@@ -21,17 +21,18 @@ from ltsim.recordings.spreadsheets.title_words import (
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
-"""Roles of columns of horizontal angles: `horizontal` (readings of a horizontal circle) and `azimuth`."""
+"""Roles (contents) of columns of horizontal angles: `horizontal` (readings of a horizontal circle) and `azimuth`."""
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
-"""Roles of columns of vertical angles: `vertical` (kind not given by the title), `zenith` and `elevation`."""
+"""Roles (contents) of columns of vertical angles: `vertical` (kind not given by the title), `zenith` and `elevation`.
+"""
 DISTANCE_ROLES = ("distance", "flat")
-"""Roles of columns of slope distances (`distance`) and horizontal distances (`flat`)."""
+"""Roles (contents) of columns of slope distances (`distance`) and horizontal distances (`flat`)."""
 COORDINATE_ROLES = ("x", "y", "z")
-"""Roles of columns of coordinates of targets."""
+"""Roles (contents) of columns of coordinates of targets."""
 READING_ROLES = (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES, *COORDINATE_ROLES)
-"""Roles of columns of readings, or of coordinates in place of readings."""
+"""Roles (contents) of columns of readings, or of coordinates in place of readings."""
 HEIGHT_ROLES = ("instrument_height_mm", "target_height_mm")
-"""Roles of columns of heights above survey marks."""
+"""Roles (contents) of columns of heights above survey marks."""
 SIGMA_ROLES = {
     **dict.fromkeys(DISTANCE_ROLES, "sigma_distance_mm"),
     **dict.fromkeys(HORIZONTAL_ROLES, "sigma_azimuth_arcsec"),

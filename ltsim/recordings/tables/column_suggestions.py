@@ -178,7 +178,7 @@ def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
 def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Pairs of angle unit and kind of vertical angle that agree with numbers and title, the most likely first.
+    """Pairs of angle unit and kind of vertical angle that agree with the cells and titles, the most likely first.
 
     `horizontal` and `vertical` are the positions of the columns of both angles.
     """

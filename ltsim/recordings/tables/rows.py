@@ -100,8 +100,8 @@ def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableCo
 def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     """Index of the first row that is a header; None if there is none.
 
-    If `hints.columns` assigns numbered columns of a table without header, the result is the index of the first row
-    minus 1.
+    If `hints.columns` assigns contents to numbered columns of a table without header, the header counts as the row
+    before the first row: the result is the index of the first row minus 1.
     """
     if hints.columns is not None and sheet.rows:
         assignments = parse_assignments(hints.columns, sheet.file)
