@@ -65,7 +65,7 @@ def calibrate(
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
+    """Estimate the instrument's parameters, with uncertainties; report combinations that stay undetermined.
 
     Writes calibration.json, targets.csv, targets.covariance.csv (joint covariance) and residuals.csv to --out.
 
@@ -162,7 +162,7 @@ def verify(
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Compare another recording with nominal points, before and after its correction by a calibration.
+    """Compare a recording with nominal points, before and after its correction by an earlier calibration.
 
     The errors of distances and coordinates are those of Sensors 2021, 21, 7479, eq. 13 and 14. Writes criteria.json to
     --out.

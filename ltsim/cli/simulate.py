@@ -311,7 +311,7 @@ def demo(
 
 
 def simulate_workshop(demo_folder: Path, seed: int) -> str:
-    """Text on the size of a simulated recording of the paper's workshop, which is written with its true values."""
+    """Text on the size of a recording of the scenario `paper-workshop`, which is simulated and written to files."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, demo_folder / "workshop" / "recording")
     lt.write(truth, demo_folder / "workshop" / "truth.json")
@@ -322,7 +322,7 @@ def simulate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def calibrate_workshop(demo_folder: Path, seed: int) -> str:
-    """Summary of the calibration from the recording of `simulate_workshop`, which is written to a file."""
+    """Summary of a calibration from the recording of `simulate_workshop`; the calibration is written to a file."""
     from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
@@ -348,7 +348,7 @@ def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
 def run_demo_campaign(demo_folder: Path, seed: int) -> str:
     """Summary of a campaign that calibrates 500 simulated instruments with two methods.
 
-    The methods are the network adjustment and the paper's method of distances between reflectors.
+    The methods are the network adjustment and the minimum of the distance objective of Sensors 2021, 21, 7479.
     """
     from ltsim.reports.sections.campaign import campaign_section
 

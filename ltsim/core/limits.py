@@ -116,7 +116,7 @@ correlation of each pair of results and may have at most `MAX_JSON_VALUES` value
 result take 80 kB, and are in memory four times."""
 MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects in an uncertainty budget (type B), and of effects that a calibration method of a campaign
-estimates. Each effect is linearised for all pointings. The catalogue has 60.
+estimates. Each effect is linearised for all pointings. The catalogue of effects has 60.
 """
 MAX_EFFECTS_TIMES_POINTINGS = 60_000
 """Largest product of the numbers of effects that are estimated together and of pointings. In a calibration an effect

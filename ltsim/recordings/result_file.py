@@ -96,7 +96,7 @@ def _stop_at_first_error(schema: Any) -> None:
 
 
 class Entry(DescribedModel):
-    """Base class of objects in a result file: values cannot be changed, unknown keys (later versions) are ignored."""
+    """Base class of objects in a result file: values cannot be changed, unknown keys of later versions are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
@@ -216,7 +216,7 @@ ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 
 
 def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
-    """Copy of `result` with the digests of its companion files, after writing its JSON file and them into `folder`.
+    """Copy of `result` with the digests of its companion files, after writing all its files into `folder`.
 
     `companions` are the contents of the companion files, such as tables, by file name. Raises RecordError if the folder
     is not writable; no incomplete files remain.

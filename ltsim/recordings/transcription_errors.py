@@ -139,7 +139,7 @@ class StationTargetPoints:
     points: Floats
 
     def common_points(self, other_cloud: StationTargetPoints) -> tuple[Floats, Floats]:
-        """Positions (m, 3) of the m targets that both stations measured, first in this station's frame."""
+        """Positions (m, 3) of the m targets that both stations measured, in this and in the other station's frame."""
         _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
         return self.points[rows], other_cloud.points[other_rows]
 

@@ -66,7 +66,7 @@ class StandClearance:
         return has_room
 
     def nearest_body(self, position: Floats) -> tuple[float, str]:
-        """Horizontal distance [m] from an instrument position (3,) [m] to the nearest body in the cylinder; its name.
+        """Distance [m] (horizontal) and name of the body in the cylinder nearest to an instrument position (3,) [m].
 
         The distance is infinite without such a body, and the name is empty for a body without a name.
         """

@@ -338,17 +338,15 @@ class Sightings:
 
     @property
     def incidence_angle(self) -> Floats:
-        """Direction (n,) [rad] to the station in n pointings, as an angle around the normal of the nest.
-
-        Seen from the front of the nest, 0 is horizontal to the right, and pi / 2 is upwards.
-        """
+        """Angle (n,) [rad] between the beam and the normal of the nest in n pointings; NaN if the normal is unknown."""
         return self._incidence_angle_and_direction[0]
 
     @property
     def incidence_direction(self) -> Floats:
         """Direction (n,) [rad] to the station in n pointings, as an angle around the normal of the nest.
 
-        It is 0 along the horizontal line in the plane of the nest's open side.
+        Seen from the front of the nest, 0 is horizontal to the right, and pi / 2 is upwards. NaN if the normal is
+        unknown.
         """
         return self._incidence_angle_and_direction[1]
 

@@ -138,7 +138,7 @@ class Visibility:
 
     @property
     def is_marginal(self) -> Bools:
-        """True (S, T) for lines of sight that are free from the station, but not from all points of its tolerance."""
+        """True (S, T) for lines of sight that are free from a station, but blocked from a position in its tolerance."""
         return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL_SIGHT)
 
     def with_marginal_pairs(self, is_marginal: Bools) -> Visibility:
