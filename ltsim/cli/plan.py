@@ -64,7 +64,7 @@ BEST_LAYOUT_SO_FAR_FILE = "best-so-far.toml"
 FLOOR_PLAN_FILE = "floor.png"
 """Name of the picture file with the floor plan."""
 TRADE_OFF_FILE = "tradeoff.png"
-"""Name of the picture file with the trade-off curve: accuracy of the points against duration of the measurement."""
+"""Name of the picture file with the trade-off curve: objective of the layout against duration of the measurement."""
 WORK_ORDER_FILE = "work-order.html"
 """Name of the HTML file with the work order for the shop floor."""
 
