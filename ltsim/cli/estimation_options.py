@@ -163,12 +163,16 @@ class DiagnoseOptions(FunctionOptions):
 
     level: Annotated[
         float,
-        bounded_option("level", "False-alarm rate of the whole search on a recording without effects, at least 0.001."),
+        bounded_option(
+            "level",
+            "False-alarm rate: probability that a recording without unmodelled effects is reported, at least 0.001.",
+        ),
     ] = 0.05
     seed: Annotated[
         int,
         bounded_option(
-            "seed", "Seed of the random draws of simulated recordings, from which the p-value of the search follows."
+            "seed",
+            "Seed of the random draws of simulated recordings, from which the p-value of the recording is computed.",
         ),
     ] = 0
     history: Annotated[
