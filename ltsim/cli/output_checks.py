@@ -191,7 +191,7 @@ class _UnchangedOutput(NamedTuple):
     """Marker for an output that exists already with the content to be written, so that it is not written again."""
 
     returned_value: Any
-    """Value that the writing function returned."""
+    """Return value of the function that would have written the output."""
 
 
 def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOutput | None:

@@ -6,8 +6,9 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_ANGLE_SIGMAS = 0.1
-"""Limit for modelling the earth's curvature: its angle over the longest line of sight, divided by the standard
-deviation of an elevation. A larger ratio is modelled."""
+"""Limit above which the adjustment models the curvature of the earth: angle between a level surface and the horizontal
+plane over the longest line of sight, divided by the standard deviation of an elevation.
+"""
 
 DEFAULT_REFRACTION_AND_SIGMA = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by the radius of the ray) and its standard

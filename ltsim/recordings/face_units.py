@@ -56,7 +56,7 @@ class FaceUnitError:
     pointing_indices: Ints
     """Indices (k,) of the k pointings with the wrong readings."""
     corrected_readings: Floats
-    """Readings (k, 3) [m, rad, rad] without the error."""
+    """Readings (k, 3) [m, rad, rad] of the k wrong pointings, corrected for the transcription error."""
 
     @property
     def observables(self) -> tuple[str, ...]:
