@@ -20,7 +20,7 @@ from ltsim.cli.options import (
 
 @dataclass(frozen=True)
 class CheckOptions(FunctionOptions):
-    """Options of `lt.check`."""
+    """Command-line options that become keyword arguments of the Python function `lt.check`."""
 
     level: Annotated[
         float,
@@ -33,7 +33,7 @@ class CheckOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class AdjustOptions(FunctionOptions):
-    """Options of `lt.adjust`."""
+    """Command-line options that become keyword arguments of the Python function `lt.adjust`."""
 
     robust: Annotated[
         bool,
@@ -58,7 +58,7 @@ class AdjustOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class CalibrateOptions(FunctionOptions):
-    """Options of `lt.calibrate`."""
+    """Command-line options that become keyword arguments of the Python function `lt.calibrate`."""
 
     method: Annotated[
         str,
@@ -159,16 +159,20 @@ class CalibrateOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class DiagnoseOptions(FunctionOptions):
-    """Options of `lt.diagnose`."""
+    """Command-line options that become keyword arguments of the Python function `lt.diagnose`."""
 
     level: Annotated[
         float,
-        bounded_option("level", "False-alarm rate of the whole search on a recording without effects, at least 0.001."),
+        bounded_option(
+            "level",
+            "False-alarm rate: probability that a recording without unmodelled effects is reported, at least 0.001.",
+        ),
     ] = 0.05
     seed: Annotated[
         int,
         bounded_option(
-            "seed", "Seed of the random draws of simulated recordings, from which the p-value of the search follows."
+            "seed",
+            "Seed of the random draws of simulated recordings, from which the p-value of the recording is computed.",
         ),
     ] = 0
     history: Annotated[
@@ -185,7 +189,7 @@ class DiagnoseOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class HistoryOptions(FunctionOptions):
-    """Options of `lt.history`."""
+    """Command-line options that become keyword arguments of the Python function `lt.history`."""
 
     instrument: Annotated[
         str | None,
@@ -214,7 +218,7 @@ class HistoryOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class CompareOptions(FunctionOptions):
-    """Options of `lt.compare`."""
+    """Command-line options that become keyword arguments of the Python function `lt.compare`."""
 
     stable: Annotated[
         str | None,
@@ -267,14 +271,14 @@ class CompareOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class UncertaintyOptions(FunctionOptions):
-    """Options of `lt.uncertainty`."""
+    """Command-line options that become keyword arguments of the Python function `lt.uncertainty`."""
 
     seed: Annotated[int | None, bounded_option("seed", "Seed of all random draws; default from the task file.")] = None
 
 
 @dataclass(frozen=True)
 class BenchOptions(FunctionOptions):
-    """Options of `lt.bench`."""
+    """Command-line options that become keyword arguments of the Python function `lt.bench`."""
 
     probe_direction: Annotated[
         float,
