@@ -94,7 +94,7 @@ class TableBlock:
     marked_rows: frozenset[int] = frozenset()
     """Indices of highlighted rows."""
     column_meanings: Sequence[str] = ()
-    """PossibleCause of each heading, shown when the pointer is over it."""
+    """Explanation of each heading, shown when the pointer is over it."""
     is_foldable: bool = True
     """True if a long table starts folded (only its title is shown); False for a table that readers need completely."""
     kind: Literal["table"] = "table"
