@@ -38,8 +38,8 @@ from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Largest number of suspected readings at which outliers are removed one after another. Of more suspected readings each
-is tested as if it were the only outlier."""
+"""Largest number of suspected readings at which outliers are removed one after another. If more readings are suspected,
+each is tested as if it were the only outlier."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ class Adjustment(Result):
     noise_sentences: tuple[str, ...] = ()
     """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
     datum: InnerConstraintDatum | None = None
-    """Datum of the covariances by inner constraints; None if the pose of the first station or constraints define it."""
+    """Datum of the covariances by inner constraints; None if the pose of the first station, or constraints, define the
+    datum."""
 
     def _summary_lines(self) -> list[str]:
         """Lines of the summary that `print` shows."""
@@ -299,7 +300,7 @@ class Adjustment(Result):
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_submatrices(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k unknowns, with the indices `columns` (c, k) in the design matrix.
+        """Covariances (c, k, k) of c sets of k unknowns, given by their indices in the design matrix, `columns` (c, k).
 
         Coordinates of targets that are eliminated from the normal equations are not permitted.
         """
@@ -337,7 +338,7 @@ class Adjustment(Result):
     def pose_covariance(self) -> Floats:
         """Covariances (S, 6, 6) of position [m] and rotation vector [rad] of each of S stations, in the network frame.
 
-        They are NaN for components that the readings do not determine, and 0 for components that define the frame.
+        Components that the readings do not determine have NaN, components that define the frame have 0.
         """
         covariance = self.covariance_submatrices(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations

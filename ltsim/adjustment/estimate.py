@@ -166,8 +166,9 @@ def _problem_and_start_state(
 ) -> tuple[NetworkProblem, NetworkState]:
     """Least-squares problem without undetermined targets, and its start state.
 
-    From `start_state` follow the plumb lines of the stations in the model, and the positions of stations over marks;
-    missing parameters of effects start at zero. The other arguments are those of `adjust`.
+    The plumb lines of the stations in the model, and the positions of stations over marks, are computed from
+    `start_state`; parameters of effects that it does not contain start at zero. The other arguments are those of
+    `adjust`.
     """
     model = replace(model, recording=with_spherical_earth_plumb_lines(model.recording, start_state.station_positions))
     if len(start_state.extra_parameters) != model.n_extra_parameters:

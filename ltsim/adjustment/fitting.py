@@ -20,8 +20,7 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_DISTANCE_OF_EQUAL_SOLUTIONS = 1e-3
-"""Largest difference of two solutions for a pose or point that count as equal: distance divided by the extent of the
-points, plus norm of the difference of the rotation matrices."""
+"""Largest difference of equal solutions for a pose or point: distance / extent of points + norm of rotation change."""
 MIN_UNIQUE_SOLUTION_RATIO = 4.0
 """Smallest ratio of the sum of squares of the second-best to the best solution at which a pose or point is unique."""
 MAX_RMS_RESIDUAL_SIGMAS = 300.0
@@ -109,6 +108,7 @@ def _unique_solution(
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) [m] and rotation (3, 3) of the best solution; None if it fits poorly or is not unique.
 
+    `n_readings` are fitted to known `points` (k, 3) [m], whose extent is the unit of differences between solutions.
     `solutions` of b fits are sums of squares (b,) in ascending order, positions (b, 3) [m], rotations (b, 3, 3).
     """
     cost, x, rotation = solutions

@@ -249,7 +249,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets whose positions from two stations differ; the pointings of one or both were rejected."""
+    """Sentences on targets whose positions from two stations differ, so that pointings from them were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):

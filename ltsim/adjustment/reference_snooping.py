@@ -195,7 +195,8 @@ def _most_contradicting_observation(
 ) -> ReferenceTest | Bools | None:
     """Test of the most contradicting reference value, or mask (n, 3) with the flag of a reading that contradicts more.
 
-    The result is None if no reference value contradicts the other observations significantly.
+    Values of the `kinds` are tested, except for `exempt_values` (kind and name). The result is None if no reference
+    value contradicts the other observations significantly.
     """
     tests = [test for test in reference_tests(problem, solution, MIN_TESTED_WHITENED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]

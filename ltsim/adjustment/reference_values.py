@@ -21,7 +21,8 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 `scale` common scale of all known lengths.
 """
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
-"""Smallest standard deviation of a reference value during its test, divided by the median one of the readings."""
+"""Smallest standard deviation of a reference value during its test, divided by the median standard deviation of the
+readings."""
 STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},

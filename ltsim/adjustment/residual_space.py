@@ -29,7 +29,10 @@ limit the processor time. Of more hypotheses only the most promising ones are pr
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """Residual space of an adjustment with m equations: projector onto it, and whitened residuals."""
+    """Whitened residuals of an adjustment with m equations, and projector onto its residual space.
+
+    The residual space is the orthogonal complement of the columns of the whitened design matrix.
+    """
 
     projector: ResidualProjector
     """Projector onto the orthogonal complement of the columns of the whitened design matrix, including those of
@@ -41,7 +44,7 @@ class ResidualSpace:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """Residual space at the solution of an adjustment; not cached, because its basis takes up to 32 MB."""
+        """Residuals and projector at the solution of an adjustment; not cached, because the basis takes up to 32 MB."""
         solution = adjustment.solution
         projector = make_residual_projector(solution.system, solution.factor)
         residual = projector.project(solution.system.whitened_residuals[:, None])[:, 0]

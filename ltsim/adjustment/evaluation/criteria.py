@@ -91,7 +91,8 @@ class DisagreementChange(Entry):
     after: DisagreementEntry | None = None
     """Disagreement of the stations with readings that a calibration corrects; null without a calibration."""
     improvement_percent: OptionalFloat = None
-    """Decrease of the mean by the calibration, in percent of the mean before."""
+    """Decrease of the mean disagreement of the stations by the calibration, in percent of the mean disagreement before
+    it."""
 
     @classmethod
     def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
@@ -128,7 +129,10 @@ class CriteriaEntry(Entry):
     null in a verification."""
 
     def criteria_table(self) -> Table:
-        """Data table with one row per criterion: disagreement of the stations before and after calibration."""
+        """Data table of the disagreement of the stations before and after calibration.
+
+        The rows are: distances between targets, distances compared with station 1, coordinates.
+        """
         criterion_by_name = {
             "distance": self.distance,
             "distance, compared with station 1": self.distance_to_first,
@@ -163,10 +167,11 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Indices (s,) of the s stations that measured a target, and distances (s, f) [m] to following targets, per target.
+    """Indices (s,) of the s stations that measured a target, and distances (s, f) [m] to f later targets, per target.
 
-    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured. Pairs of targets measured
-    from fewer than `min_observers` stations are left out, so that the memory depends only on measured pairs.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured. Later targets are those
+    with a larger index. Pairs of targets measured from fewer than `min_observers` stations are left out, so that the
+    memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -223,10 +228,10 @@ def evaluate_criteria(
     """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
     The correction uses the p `parameter_values` [SI] of the error model `construction`, (p,) or for each of n pointings
-    (n, p). Before, `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects, are subtracted from the
-    readings. `row_mask` (n,) selects pointings; faces and repeats are averaged by station and target. Raises
-    NetworkError if no two stations have common targets, if the network is too large for a comparison of all stations,
-    and if SMRs have several radii.
+    (n, p). Before this correction, `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects, are
+    subtracted from the readings. `row_mask` (n,) selects pointings; faces and repeats are averaged by station and
+    target. Raises NetworkError if no two stations have common targets, if the network is too large for a comparison of
+    all stations, and if SMRs have several radii.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
@@ -326,12 +331,12 @@ def verify_against_nominal(
     *,
     reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
-    """Errors of a laboratory recording relative to nominal points, before and after calibration.
+    """Errors of distances and coordinates relative to nominal points, before and after a calibration.
 
     `nominal_points` maps target names to coordinates (3,) [m]. The correction uses the p `parameter_values` [SI] of the
-    error model `construction`, (p,) or for each of n pointings (n, p). Before, the changes by estimated effects,
-    `reading_changes` (n, 3) [m, rad, rad], are subtracted from the readings. Raises NetworkError if a station measured
-    fewer than three targets with nominal points.
+    error model `construction`, (p,) or for each of n pointings (n, p). Before this correction, the changes by estimated
+    effects, `reading_changes` (n, 3) [m, rad, rad], are subtracted from the readings. Raises NetworkError if a station
+    measured fewer than three targets with nominal points.
     """
     nan_vector = np.full(3, np.nan)
     goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])

@@ -210,7 +210,7 @@ class SetupModel:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean_of_others(self, row: int) -> float:
-        """Distance [m] of the point of pointing `row` from the mean of its target's other points; NaN without any."""
+        """Distance [m] of the point of pointing `row` from the mean of its target's other points; NaN if none."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -298,9 +298,9 @@ class TwoFaceDifferences:
         """Two-face differences of a recording with one station; None if no target was measured in both faces.
 
         `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
-        probability of any false alarm among the differences. `mpe` is a pair of numbers A and B: the maximum
-        permissible full difference is A um + B um per metre of range. If it is None, the limit follows from noise and
-        specification.
+        probability of at least one false alarm among the differences. `mpe` is a pair of numbers A and B: the maximum
+        permissible full difference is A um + B um per metre of range. If `mpe` is None, the limit is computed from the
+        declared noise and the specification of the instrument.
         """
         if not len(face_pair_rows(recording)):
             return None

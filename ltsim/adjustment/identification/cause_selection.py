@@ -61,7 +61,7 @@ DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
 def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Largest displacement [m] of a measured point, or misclosure of a reference value, by the error of a hypothesis.
 
-    It is 0 for a noise hypothesis and for wrongly recorded pointings.
+    The result is 0 for a hypothesis on the size of the noise and for wrongly recorded pointings.
     """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):
@@ -114,8 +114,9 @@ class CauseSelection:
     fit: NetworkFit
     """Network fit with all selected hypotheses in its model."""
     selected_hypotheses: tuple[SelectedHypothesis, ...]
-    """Selected hypotheses: first errors of readings and reference values, then noise hypotheses and centring errors; in
-    each group the hypothesis with the largest gain of log evidence first."""
+    """Selected hypotheses: first errors of readings and reference values, then hypotheses on the size of the noise and
+    on centring errors; in each group the hypothesis with the largest gain of log evidence first.
+    """
 
     @property
     def _certain_hypotheses(self) -> list[CauseHypothesis]:
@@ -190,7 +191,7 @@ class CauseSelection:
 
     @property
     def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
-        """Selected hypotheses, if all are larger noise than declared and the network is consistent; otherwise empty."""
+        """Selected hypotheses if all of them are larger noise than declared and explain the misfit; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
         is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
@@ -200,9 +201,9 @@ class CauseSelection:
     def is_consistent(self) -> bool:
         """True if the selected hypotheses explain the misfit: the global test passes and all hypotheses are certain.
 
-        Exceptions are False: set-ups in another unit or sense of rotation (the recording must be read again), noise
-        smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers, and
-        wrong reference values or set-ups over marks (other tests are more specific).
+        The result is also False for set-ups in another unit or sense of rotation (the recording must be read again),
+        noise smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers,
+        and wrong reference values or set-ups over marks (other tests are more specific).
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
@@ -235,8 +236,8 @@ def adjust_with_causes(
     construction : GeometricErrorModel
         Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of CauseHypothesis
-        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any of
-        the others.
+        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any selection
+        of the other hypotheses.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracts_changes : bool

@@ -125,7 +125,8 @@ class NetworkFit:
         """Network fit with hypotheses in its model; None if it does not converge or a shift is not significant.
 
         The fit starts at `start_state`, by default at `robust_state` (the state of a robust fit, which is computed if
-        None). With `approximate_sightings` the start values of the shifts are subtracted from the readings first.
+        None). With `approximate_sightings` (approximate ranges and directions of the pointings) the start values of the
+        shifts are subtracted from the readings first.
         """
         fit = cls._with_hypotheses(fit_input, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ITERATIONS):

@@ -129,7 +129,7 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        They may if they share a station or target, or if one of them acts on the whole recording.
+        This is possible if the hypotheses share a station or target, or if one of them acts on the whole recording.
         """
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

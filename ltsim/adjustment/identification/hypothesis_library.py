@@ -91,7 +91,8 @@ class ShiftFamily:
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a station or target.
 
-        `rows` are its pointings in the order of measurement. A shift from the first pointing on has the time -inf.
+        `rows` are the indices of the pointings of this station or target in the order of measurement. A shift from the
+        first pointing on has the time -inf.
         """
         if not self.min_pointings_around_onset:
             return [-np.inf]
@@ -284,7 +285,7 @@ CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
     "face-confusion": "unit",
     "outlier": "height",
 }
-"""Kind of cause under which a blunder is reported, by the name of the catalogue effect that represents the blunder."""
+"""Kind of cause under which a blunder is reported, by the name of the blunder in the list of physical effects."""
 
 
 def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
@@ -359,9 +360,9 @@ def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[i
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]:
-    """Noise hypotheses, each with the mask (n, 3) of the readings of n pointings whose noise may differ from declared.
+    """Hypotheses that the noise differs from the declared noise, each with the mask (n, 3) of the affected readings.
 
-    They act on all readings, one observable, both angles, one target, or one station.
+    The hypotheses concern all readings of the n pointings, one observable, both angles, one target, or one station.
     """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)

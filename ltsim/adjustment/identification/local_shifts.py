@@ -87,9 +87,10 @@ def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -
 
 
 def _batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
-    """Batches of indices of shifts with equal numbers of parameters, to be fitted together; ordered by reading number.
+    """Indices of shifts that are fitted together, in groups with equal numbers of parameters.
 
-    The design matrices of a batch together have at most `MAX_TEMPORARY_ENTRIES` entries.
+    Within a group the shifts with fewer readings come first. The design matrices of a group together have at most
+    `MAX_TEMPORARY_ENTRIES` entries.
     """
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):

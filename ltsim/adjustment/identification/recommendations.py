@@ -83,7 +83,7 @@ def recommendation_at_place(
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
     """Sentences on next actions after all identified causes that are faults, in their order and without repetitions.
 
-    If the vertical index differs at several set-ups, a sentence on its drift follows.
+    If the vertical index differs at several set-ups, a sentence on its drift is added at the end.
     """
     faults = [test for test in tests if test.is_fault]
     actions = [recommendation_for_cause(test) for test in faults]

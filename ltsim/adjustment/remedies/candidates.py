@@ -31,7 +31,8 @@ VisibilityFunction = Callable[[Floats, Floats], Bools]
 A flag is True if the target is in sight from the position. All are False at a position where no tripod may stand.
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
-"""Kind of a further measurement; `return` is a repeated set-up, `survey` another procedure at all stations."""
+"""Kind of a further measurement: `pointings` at the last station, `return` a repeated set-up, `station` a new set-up,
+`survey` another procedure at all stations, `length` a calibrated length, `reflectors` additional near reflectors."""
 CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in order of increasing effort."""
 CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
@@ -195,7 +196,7 @@ def pointing_candidates(
 ) -> Iterator[CandidateMeasurement]:
     """Candidates for further pointings at the last station, before the tracker is dismantled.
 
-    `suspect_targets` are names of targets that may have moved and should be measured again.
+    `suspect_targets` are names of targets that may have moved and should be measured again. By default all are visible.
     """
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
@@ -324,7 +325,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
 
 
 def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
-    """Target index and face of each additional pointing from one set-up by `procedure`, a key of the advice."""
+    """Target index and face of each additional pointing from one set-up by `procedure`, a key of `ADVICE_SENTENCES`."""
     existing = list(
         zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
     )

@@ -90,8 +90,8 @@ class PlannedNetwork:
         """Network with k additional pointings from the stations `station` to the targets `target`.
 
         `station` and `target` (k,) are indices, `face` (k,) is 1 or 2; `station` and `face` may be one number for all
-        pointings. `time` [s] is the time of each additional pointing (k,), or of the first one; by default they follow
-        the last pointing of the recording.
+        pointings. `time` [s] is the time of each additional pointing (k,), or of the first one; by default the
+        additional pointings come after the last pointing of the recording.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
