@@ -1,7 +1,7 @@
 """Declared frame of a network (known points, levels, floor plan), and list of the measured points of each station.
 
-The list has an entry per pair of a station and a target that it measured with range and both angles. For 2,000 set-ups
-with 50 targets each these are 100,000 entries; an array of all stations and targets would have 100 million.
+The list has an entry per pair of a station and a target that it measured with range and both angles: 100,000 entries
+for 2,000 set-ups with 50 targets each. An array of all stations and targets would have 100 million.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class DeclaredFrame:
     floor_plan_positions: Floats
     """Approximate positions (S, 3) [m] of S stations on the floor plan."""
     floor_plan_yaws: Floats
-    """Declared yaws (directions of azimuth zero) of S stations, (S,) [rad], approximate or known."""
+    """Declared yaws (azimuth zero, counter-clockwise from x) of S stations, (S,) [rad], approximate or known."""
     has_declared_yaw: Bools
     """Flags (S,), True for those of the S stations whose yaw is known with a standard deviation, not approximate."""
     approximate_points: Floats
@@ -125,9 +125,8 @@ class DeclaredFrame:
     def motion_to_floor_plan(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Rotation about z (3, 3) and translation (3,) [m] of a network without known points to the floor plan.
 
-        Two or more stations on the floor plan determine them, or the position and yaw of one. The result is None
-        without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more. `position` (S,
-        3) [m] and `rotation` (S, 3, 3) are the poses of S stations.
+        `position` (S, 3) [m], `rotation` (S, 3, 3): S poses. The result is None without two stations, or one with its
+        yaw, on the floor plan, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
             np.isfinite(self.floor_plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)

@@ -247,8 +247,9 @@ def snoop_readings(
 ) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution; `state` is an approximate solution.
 
-    Reweighted least squares gives a network that outliers hardly distort. Readings that contradict it are rejected.
-    Data snooping follows: after each of up to `max_passes` solutions all used and rejected readings are tested again.
+    Reweighted least squares gives a network that outliers hardly distort. Readings that contradict this network are
+    rejected. Data snooping is the second step: after each of up to `max_passes` solutions all used and rejected
+    readings are tested again.
     """
     limit = critical_normalised_residual(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(

@@ -24,9 +24,9 @@ from ltsim.scene.sightings import Sightings
 class UniformMotion(StationMotionEffect):
     """Motion of a station at a constant rate during its occupation.
 
-    The parameters are the translation and rotation at the end of the occupation. The effect is not in the catalogue,
-    because it has many possible causes. Consecutive pointings to one target get one time, because a change between them
-    may be a motion of the target; only later repeats show a motion of the station.
+    The parameters are the translation and rotation at the end of the occupation. The effect is not in the list of
+    physical effects, because it has many possible causes. Consecutive pointings to one target get one time, because a
+    change between them may be a motion of the target; only later repeats show a motion of the station.
     """
 
     name = "station-motion"

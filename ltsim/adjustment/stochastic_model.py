@@ -242,7 +242,7 @@ def estimate_variance_components(
 
 
 def converged_variance_components(problem: NetworkProblem, state: NetworkState) -> tuple[VarianceComponent, ...]:
-    """Noise of each observable, estimated with weights that agree with it; without redundancy there is none.
+    """Noise of each observable, estimated with weights that agree with this noise; empty without redundancy.
 
     A noise that is declared with these factors is confirmed by the next adjustment. One step from the declared noise is
     not sufficient, because wrong weights distribute the misfit among the observables in a wrong way. The readings in
@@ -270,9 +270,10 @@ def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floa
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem with the readings that `reading_mask` (n, 3) selects, and standard deviations times group factors.
+    """Problem with the readings that `reading_mask` (n, 3) selects, whose noise is multiplied by group factors.
 
-    `group_indices` (n, 3) is the group of each reading of n pointings. The last factor is that of the levels.
+    `group_indices` (n, 3) is the group of each reading of n pointings, `factor` (g,) the factor on the standard
+    deviations of each of g groups. The last group is that of the levels.
     """
     levels = replace(problem.level_rows, tilt_sigmas=problem.level_rows.tilt_sigmas * factor[-1])
     return replace(

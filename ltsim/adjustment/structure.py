@@ -328,7 +328,7 @@ def _scale_defining_target(network: NetworkRows) -> Ints:
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
-"""Parameters of a decorated function that follow its first parameter, a recording."""
+"""Parameters of a decorated function after its first parameter, which is a recording."""
 DecoratedReturn = TypeVar("DecoratedReturn")
 """Type of the result of a decorated function whose first parameter is a recording."""
 

@@ -45,7 +45,7 @@ class CalibrationArrays(ValueEquality):
     """Parameters that a correction removes from readings, shape (instruments, parameters) [SI]. None means the
     estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Orthonormal combinations of the parameters that a distance method cannot determine and therefore sets to zero.
+    """Orthonormal combinations of parameters that distances between targets do not determine and that are set to zero.
 
     The shape is (combinations, instruments times parameters); the unit is the prior standard deviation.
     """
@@ -110,8 +110,8 @@ def arrays_from_file_rows(
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
-    Without a covariance in the file the parameters count as uncorrelated. Missing parameters are zero with their prior
-    standard deviation.
+    Without a covariance in the file the parameters count as uncorrelated. Missing parameters are zero with the prior
+    standard deviation of the geometric error model.
 
     Raises
     ------

@@ -73,9 +73,9 @@ def correct(
 
 
 def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
-    """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
+    """Change of the readings by estimated incidence errors of the reflectors, shape (pointings, 3) [m, rad, rad].
 
-    It is zero if the set-up declares no normals of nests, or if no approximate network can be computed.
+    The change is zero if the set-up declares no normals of nests, or if no approximate network can be computed.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())
@@ -90,7 +90,7 @@ def incidence_reading_changes(recording: Recording, calibration: Calibration) ->
 
 
 def corrected_readings(recording: Recording, construction: GeometricErrorModel, parameter_values: Floats) -> Floats:
-    """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN for missing readings.
+    """Readings (pointings, 3) [m, rad, rad] of an ideal tracker for the measured points; NaN for missing readings.
 
     `parameter_values` are the instrument parameters, shape (parameters,) or (pointings, parameters) [SI].
     """
@@ -106,9 +106,9 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
 
 
 def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
-    """Readings of an ideal tracker, predicted for pointings without a range or an angle, shape (pointings, 3).
+    """Readings (pointings, 3) [m, rad, rad] of an ideal tracker, predicted for pointings without a range or an angle.
 
-    They follow from an approximate network. All are zero if every pointing is complete.
+    The readings are computed from an approximate network; all are zero if every pointing is complete.
     """
     incomplete: Bools = np.asarray(~recording.is_measured.all(axis=1))
     if not incomplete.any():

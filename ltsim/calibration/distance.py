@@ -55,8 +55,8 @@ def calibrate_distance(
 ) -> Calibration:
     """Calibration by a distance method (Sensors 2021, 21, 7479, eq. 9 and 10), with options as in `ltsim.calibrate`.
 
-    Stations and targets follow from an adjustment of the corrected readings. Their covariance includes the uncertainty
-    of the parameters, which were estimated from the same readings.
+    Stations and targets are computed by an adjustment of the corrected readings. Their covariance includes the
+    uncertainty of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
     model = construction or declared_construction(recording)
@@ -172,7 +172,7 @@ def _undetermined_entries(
 
 @dataclass(frozen=True)
 class DistanceErrorPropagation:
-    """Propagation of the error of parameters from distances through the adjustment of the corrected readings.
+    """Propagation of errors of parameters, which were estimated from distances, through the network adjustment.
 
     Let e be the whitened noise of the readings and the gauge (reflectors at known distances). Let A be the matrix that
     maps observations to adjusted unknowns, D the design matrix of the adjustment, B the design matrix of the
@@ -190,7 +190,7 @@ class DistanceErrorPropagation:
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""
     distance_estimate: DistanceEstimate
-    """Estimate of the distance method with its covariance."""
+    """Parameters estimated from distances between targets, with their covariance."""
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 

@@ -7,9 +7,9 @@ steps. For absolute deviations, each step is the solution of a linear program.
 prior (gain above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not
 the minimum of eq. 9.
 
-`solve_all_combinations` computes this minimum, for comparison with the paper. It can be restricted to a box around
-zero. It excludes only combinations that change no distance. It therefore fits the noise if the readings determine
-little: eq. 9 as printed has up to 78 parameters.
+`solve_all_combinations` computes this minimum, for comparison with the article. The parameters can be restricted to a
+box around zero. Only combinations that change no distance are excluded. The minimum therefore fits the noise if the
+readings determine little: eq. 9 as printed has up to 78 parameters.
 
 The objective ignores that distances share points, so that a covariance derived from it would be too small. The
 covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
@@ -76,7 +76,7 @@ class DistanceEstimate:
 
 
 def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Weighted deviations of distances from their means over stations and faces; their squares add to the objective."""
+    """Weighted deviations of distances from their means over stations and faces; the objective sums their squares."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))

@@ -120,7 +120,7 @@ def network_uncertainty_factor(adjustment: Adjustment) -> float:
 def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adjustment) -> tuple[CauseTest, ...]:
     """Tests of the selected causes and of the outliers, which state if the model of an adjustment contains the cause.
 
-    `adjustment` is that of `adjust_with_cause_selection` for the same `selection`; None for no causes.
+    `adjustment` is the result of `adjust_with_cause_selection` for this `selection`, which is None for no causes.
     """
     if selection is None:
         return ()
@@ -137,7 +137,7 @@ def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adju
 
 
 def _contains_cause(adjustment: Adjustment, hypothesis: CauseHypothesis) -> bool:
-    """True if an adjustment without all selected causes contains this one, or if it changes only the noise."""
+    """True if the model of an adjustment contains the cause of `hypothesis`, or if this cause is larger noise."""
     change = hypothesis.model_change
     if isinstance(change, ReferenceOmission):
         value = change.reference_value
@@ -163,7 +163,7 @@ def adjust_with_cause_selection(
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with `effects`, and with the selected causes of a misfit.
 
-    `selection` is the result of `identify_causes`; None for no causes.
+    `selection` is the result of `identify_causes`; if it is None, the model contains no causes.
     """
     how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
     if selection is not None and selection.requires_adjustment_with_causes:

@@ -1,4 +1,4 @@
-"""The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
+"""Objective of a calibration by distances between targets (Sensors 2021, 21, 7479, eq. 9 and 10), in matrix form.
 
 Distances between all pairs of targets are compared between all pairs of stations. Distances on the gauge (reflectors at
 known distances) are compared with their reference lengths. Distances do not depend on poses. The two faces of a station

@@ -51,9 +51,9 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
-    """Copy of a calibration whose standard deviations include errors of the air and a contradiction of the model.
+    """Copy of a calibration whose standard deviations include errors of the air and a rejected model.
 
-    They are multiplied by sigma0 if the readings contradict the model.
+    The standard deviations are multiplied by sigma0 if the readings contradict the model.
     """
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(

@@ -1,4 +1,7 @@
-"""Estimation of effects and empirical laws that the user requests, together with the calibration.
+"""Estimation of effects that the user requests, together with the calibration.
+
+An effect is a physical effect from the list of ltsim, or an empirical law: a function of time, angles and so on that
+describes changes of the readings.
 
 Stations, targets and shape parameters (period, time constant, onset time) that the user does not fix are selected so
 that chi-square decreases most. The shape parameters are then adjusted with all other unknowns. The p-value of the
@@ -31,12 +34,12 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """Effect or empirical law that the user requests, and the fields that the user fixed."""
+    """Effect (or empirical law, a function such as `elevation ~ time`) that the user requests, and its fixed fields."""
 
     effect: CandidateEffect
     """Effect with the requested stations, targets and shape parameters."""
     fixed_fields: frozenset[str] = frozenset()
-    """Names of the fields whose values the user gave; the readings determine the other ones."""
+    """Names of the fields whose values the user gave; the readings determine the other fields."""
 
     def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
         """Check that the effect can be estimated in the calibration of a recording; raises ModelError otherwise."""

@@ -59,13 +59,14 @@ def calibrate(
     ----------
     recording : Recording, str or Path
     method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
-        Rigorous network adjustment (`network`); minimum of the paper's distance objective over the determined
-        combinations of parameters, by least squares (`distance`) or least absolute deviations (`distance-l1`); or its
-        minimum over all parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
+        Rigorous network adjustment (`network`); or agreement of distances between targets as measured from several
+        stations (Sensors 2021, 21, 7479), for the determined combinations of parameters, by least squares (`distance`)
+        or least absolute deviations (`distance-l1`); or for all parameters, which fits undetermined combinations to the
+        noise (`equation-9`, `equation-9-l1`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or GeometricErrorModel, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
-        (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default: the model
-        declared in the set-up.
+        (`steering-mirror`, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (`dh`, 78); default: the
+        model declared in the set-up.
     robust, noise_from_data, datum
         Options of `adjust`, for method `network` only.
     parameters : str or sequence of str, optional
@@ -76,8 +77,8 @@ def calibrate(
     hold : mapping of str to float, optional
         Parameters that are fixed at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With `none` there
-        is no prior, and the readings alone determine the shrinkage of the correction. For method `network` only.
+        Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. The value `none`
+        means no prior: the readings alone determine how far the correction is shrunk. For method `network` only.
     harmonics : int, optional
         Order of the harmonics in the errors of the axes of a D-H chain, 0 to 4; default 2.
     degree : int, optional
@@ -85,9 +86,10 @@ def calibrate(
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and shape
-        parameters such as `law=visit` in the effect's units; the readings determine those not given. Laws have the
-        form that a diagnosis reports, `vertical index ~ time:S3`. Several can be given. For method `network` only.
+        Physical effects that are also estimated: `NAME` (from `ltsim effects`) or `NAME:WHERE,...` with stations,
+        targets, and shape parameters such as `law=visit` in the effect's units; the readings determine those not given.
+        Empirical laws, which describe changes of the readings by functions such as `vertical index ~ time:S3`, are
+        given as a diagnosis reports them. Several can be given. For method `network` only.
     advise : bool
         True to report the further measurements that would determine the undetermined combinations.
 
@@ -214,7 +216,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     ----------
     recording : Recording, str or Path
     calibration : Calibration, str or Path, optional
-        Calibration that is applied for the values after calibration; default none.
+        Calibration that is applied for the values after calibration; by default there are no such values.
 
     Raises
     ------
@@ -242,7 +244,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
-    """Errors of another recording relative to nominal points, before and after a calibration.
+    """Errors of a recording of points with nominal coordinates, before and after a calibration.
 
     Parameters
     ----------

@@ -173,11 +173,10 @@ def _test_setup(
 ) -> SetupCheck:
     """Results of the tests of the set-up with the index `station`.
 
-    The three recordings contain the same pointings with different corrections for identified errors. `test_family`
-    contains the false-alarm rate that the tests share. The two-face differences are those of `paired_recording`, which
-    contains outliers. The other tests use `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is
-    the maximum permissible two-face difference: constant part [um] and part per range [um/m]; None for the limit by
-    noise and specification.
+    The three recordings contain the same pointings with different corrections. The tests are those of `test_family`.
+    The two-face differences are those of `paired_recording`, which contains outliers. The other tests use
+    `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
+    difference: constant part [um] and part per range [um/m]; None for the limit by noise and specification.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]

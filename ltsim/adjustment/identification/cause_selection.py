@@ -115,8 +115,7 @@ class CauseSelection:
     """Network fit with all selected hypotheses in its model."""
     selected_hypotheses: tuple[SelectedHypothesis, ...]
     """Selected hypotheses: first errors of readings and reference values, then hypotheses on the size of the noise and
-    on centring errors; in each group the hypothesis with the largest gain of log evidence first.
-    """
+    on centring errors; in each group the hypothesis with the largest gain of log evidence first."""
 
     @property
     def _certain_hypotheses(self) -> list[CauseHypothesis]:

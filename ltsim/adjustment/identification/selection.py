@@ -66,12 +66,10 @@ MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
 below which the fit is repeated from new start values instead of the present state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
 """Smallest gain of log evidence, by a linear approximation, at which a fit is repeated from new start values: the gain
-by a shift of ten standard deviations. A smaller shift hardly changes the converged state.
-"""
+by a shift of ten standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
 """Ratio of the gain of log evidence by the first fitted hypothesis to its gain by a linear approximation, above which
-only rivals are fitted too: hypotheses that may explain the same readings.
-"""
+only rivals are fitted too: hypotheses that may explain the same readings."""
 RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were added to a fit on trial, each with the resulting fit; the fit with the largest log evidence
 first.

@@ -32,7 +32,7 @@ A flag is True if the target is in sight from the position. All are False at a p
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement: `pointings` at the last station, `return` a repeated set-up, `station` a new set-up,
-`survey` another procedure at all stations, `length` a calibrated length, `reflectors` additional near reflectors."""
+`survey` another procedure at all stations, `length` a calibrated length, `reflectors` near reflectors."""
 CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in order of increasing effort."""
 CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
@@ -196,7 +196,7 @@ def pointing_candidates(
 ) -> Iterator[CandidateMeasurement]:
     """Candidates for further pointings at the last station, before the tracker is dismantled.
 
-    `suspect_targets` are names of targets that may have moved and should be measured again. By default all are visible.
+    `suspect_targets` may have moved and are measured again; `visibility_function` states what is in sight.
     """
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
