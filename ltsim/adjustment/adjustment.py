@@ -122,7 +122,7 @@ class Adjustment(Result):
         try:
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
-            message = "the pointings do not determine all poses and targets; let stations share more targets"
+            message = "the pointings do not determine all poses and targets; plan more common targets of the stations"
             if not recording.is_measured[:, 1:].any():
                 message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
@@ -182,7 +182,7 @@ class Adjustment(Result):
         differences = problem.difference_rows.is_declared_coordinate[:, :2].any()
         lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "declare approximate coordinates of two datum targets"
+            cure = "declare approximate_mm of two datum targets in setup.toml"
             return f"the scale of the network is undetermined: no distance, known length or two known points; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True

@@ -272,7 +272,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     )
     for name in datum_names or ():
         if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
+            raise ModelError(f"the readings do not determine target {name} of the datum: omit it in `datum`")
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
     if adjustment.recording.setup.datum_source and datum_names is None and len(names) >= MIN_POINTS_FOR_POSE:

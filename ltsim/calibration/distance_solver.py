@@ -201,7 +201,9 @@ def _start_values(
 def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unknown: Bools) -> None:
     """Check that a comparison of distances depends on the free unknowns; raises NetworkError otherwise."""
     if not np.any(comparisons.derivatives_by_unknowns[:, is_free_unknown]):
-        raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
+        raise NetworkError(
+            "no distance can be compared: stations have no pair of common targets, and no gauge is declared"
+        )
 
 
 def _make_estimate(

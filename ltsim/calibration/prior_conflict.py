@@ -114,7 +114,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings give {with_sigma(p.value, p.sigma, p.unit)}, which contradicts "
-            f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
+            f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the readings determine the estimate"
         )
         if lengths and calibration.construction.parameters[k % size].specified_quantity == "range_scale":
             sentences[-1] += " and the reference lengths: check their temperature and expansion coefficient"

@@ -32,9 +32,9 @@ RESIDUALS_TABLE = Table(
         *number_columns(face="1 or 2", repeat="repetition, from 1"),
         *text_columns(observable="distance, azimuth or elevation"),
         *number_columns(".6g", residual="observed minus adjusted, in `unit`"),
-        *text_columns(unit="of the residual"),
+        *text_columns(unit="unit of the residual"),
         *number_columns(
-            ".4f", redundancy="fraction of an error that appears in its residual, 0 to 1", w="normalised residual"
+            ".4f", redundancy="part of an error of the reading that its residual shows, 0 to 1", w="normalised residual"
         ),
     ),
 )

@@ -208,7 +208,7 @@ class ScaledPrior:
         if not self._is_scale_estimated:
             return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
+        phrase = f"more than half is applied in {int(np.sum(share > 0.5))} of {len(share)} parameter combinations"
         return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
 
     def estimate_at_scale(self, prior_scale: float) -> Floats:

@@ -192,7 +192,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or NAME=VALUE")
     if is_law and constants:
         raise ModelError(
-            f"'{text}': the shape parameters of a law belong in the text of the law and cannot be given separately"
+            f"'{text}': the shape parameters of an empirical law belong in its text and cannot be given separately"
         )
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))

@@ -64,7 +64,11 @@ CRITERIA_TABLE = Table(
         Column("max_um", "maximum over the pairs of targets, or over the targets", display_format=".1f"),
         Column("mean_after_um", "mean after correction of the readings", display_format=".1f"),
         Column("max_after_um", "maximum after correction of the readings", display_format=".1f"),
-        Column("improvement_percent", "decrease of the mean by the correction", display_format=".1f"),
+        Column(
+            "improvement_percent",
+            "decrease of the mean by the correction, in percent of the mean before",
+            display_format=".1f",
+        ),
     ),
 )
 
@@ -237,7 +241,7 @@ def evaluate_criteria(
     stations, targets = len(recording.stations), len(recording.targets)
     if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
-            f"the network is too large for the criteria ({stations} stations, {targets} targets): "
+            f"the network is too large for a comparison of all stations ({stations} stations, {targets} targets): "
             "evaluate parts of it separately"
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
@@ -249,7 +253,9 @@ def evaluate_criteria(
             row_mask,
         )
     if len(recording.stations) < 2:
-        raise NetworkError("the criteria compare stations, but this recording has only one; measure from a second one")
+        raise NetworkError(
+            "stations cannot be compared, because the recording has only one; measure from a second station"
+        )
 
     def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> DisagreementChange:
         def disagreement_of(clouds: Floats) -> StationDisagreement:
@@ -257,7 +263,9 @@ def evaluate_criteria(
 
         raw_disagreement = disagreement_of(raw_clouds)
         if not len(raw_disagreement.disagreements):
-            raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
+            raise NetworkError(
+                "no target, or no pair of targets, was measured from two stations; measure common targets"
+            )
         return DisagreementChange.from_differences(
             raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
         )

@@ -13,7 +13,7 @@ from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
-DECLARE_NOISE_TEXT = "declare this noise in the set-up"
+DECLARE_NOISE_TEXT = "declare this noise in setup.toml, [instrument.noise]"
 """Advice on noise that differs from the declared noise, if its values for `[instrument.noise]` are unknown."""
 NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
 """Texts for the readings whose noise may differ from the declared noise, for hypotheses on more than one observable."""
@@ -31,7 +31,7 @@ def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
     readings_text = NOISE_READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
-    cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the set-up"
+    cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the declared noise"
     factor = estimated_noise_factor(fit, hypothesis)
     origin = noise_origin(fit.fit_input.recording.notes)
     return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the {origin} one: {cure}."

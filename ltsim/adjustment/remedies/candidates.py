@@ -26,10 +26,8 @@ from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
-"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to visibility flags (N, T).
-
-A flag is True if the target is in sight from the position. All are False at a position where no tripod may stand.
-"""
+"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to flags (N, T), True
+for targets in sight from a position. All flags are False at a position where no tripod may stand."""
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement: `pointings` at the last station, `return` a repeated set-up, `station` a new set-up,
 `survey` another procedure at all stations, `length` a calibrated length, `reflectors` near reflectors."""
@@ -95,7 +93,8 @@ ADVICE_SENTENCES = {
     "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "calibrate with the method network: it determines this combination from the same recording",
     "determined already": "{do} (information on this combination is {then:.0f} %)",
-    "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
+    "not determined": "no tested measurement determines this combination; "
+    "reference points or a tighter specification may do so",
 }
 """Templates of sentences of advice by key: instructions for a measurement, and sentences on its expected benefit."""
 
