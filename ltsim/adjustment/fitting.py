@@ -365,8 +365,8 @@ def _complex_xy_coordinates(
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
-    `length_rows` are the indices of the directions with a measured length, `lengths` [m] these lengths. Without lengths
-    the scale is arbitrary.
+    The directions lead from `start_indices` to `end_indices` with `bearings` [rad], counter-clockwise from x.
+    `length_rows` are those with a measured length, `lengths` [m] these lengths. Without lengths the scale is arbitrary.
     """
     design = _xy_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))

@@ -149,9 +149,10 @@ def _tests_with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """Test of a reference value that contradicts others of its kind, as a tuple; empty if one is clearly wrong.
+    """Test of a reference value that contradicts others of its kind, as a tuple; empty if the wrong one is clear.
 
-    The test lists the values that may be wrong instead (`indistinguishable_from`).
+    `wrong_values` are the tests of rejected values, `all_tests` those of all values. The returned test lists the values
+    that may be wrong instead (`indistinguishable_from`).
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
@@ -264,7 +265,7 @@ def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str
 def _is_any_kind_inconsistent(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> bool:
-    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of any kind are excluded."""
+    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of at least one kind are excluded."""
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in excluded_tests]
     return any(

@@ -36,8 +36,8 @@ from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must be equal
-too, because two pointings may be equal by chance."""
+"""Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must then be
+copies of each other, because two pointings may be equal by chance."""
 MAX_REWEIGHTINGS_BEFORE_SNOOPING = 8
 """Largest number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20

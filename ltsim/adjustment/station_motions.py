@@ -90,6 +90,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
 
 
 def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
-    """Length of a vector (3,) with its standard deviation and unit, as text."""
+    """Length of a vector (3,) with its standard deviation (from `covariance` (3, 3)) and unit, as text."""
     vector_length = float(np.linalg.norm(vector))
     return with_sigma(vector_length, float(np.sqrt(vector @ covariance @ vector)) / max(vector_length, 1e-30), unit)

@@ -141,6 +141,8 @@ def _iterate_weights(
 ) -> tuple[NetworkState, Floats]:
     """State of a fit by reweighted least squares with one weight function, and whitened residuals (m,) of m equations.
 
+    The other arguments are those of `iterate_reweighted`.
+
     The robust scale of the residuals never increases. Otherwise a large error that distorts the network would increase
     the scale and thus its weight (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step decreases
     the objective).

@@ -173,6 +173,9 @@ def _parameter_vector_indices(
 ) -> list[int]:
     """Indices of a file's parameters in the vector of the parameters of all instruments.
 
+    `construction` is the name of the geometric error model, `index_by_instrument_and_name` gives the index in the
+    vector.
+
     Raises RecordError for unknown names, unknown units and repeated parameters.
     """
     flat_indices: list[int] = []

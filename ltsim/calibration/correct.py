@@ -126,7 +126,10 @@ def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
 
 
 def _undetermined_rows_error(is_undetermined: Bools, reason_text: str) -> NetworkError:
-    """Error for pointings without a range or an angle whose target has no coordinates; `reason_text` says why."""
+    """Error for the pointings (flags `is_undetermined`) without a range or an angle whose target has no coordinates.
+
+    `reason_text` is the reason for the missing coordinates.
+    """
     return NetworkError(
         f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
         f"and its target has no coordinates: {reason_text}"

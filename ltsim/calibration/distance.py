@@ -154,7 +154,10 @@ def _undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of the combinations of parameters that the distances do not determine."""
+    """Entries of the combinations of parameters that the distances do not determine.
+
+    With `recommend_measurements` the entries name the measurement that would determine the combination.
+    """
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
         return undetermined_entries(

@@ -192,7 +192,7 @@ def solve_all_combinations(
 def _start_values(
     problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
 ) -> tuple[Floats, Bools]:
-    """Start values of the unknowns, and mask of the unknowns to estimate, both of shape (unknowns,)."""
+    """Start values of the unknowns, and mask of the unknowns to estimate (not in `fixed_mask`), shape (unknowns,)."""
     n_parameters = problem.prior_sigma.size
     unknowns: Floats = np.zeros(n_parameters) if start_values is None else start_values.copy()
     return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
@@ -299,7 +299,7 @@ def _bounded_step(
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
-    """Step of the free unknowns that minimises the linearised objective within the bounds of the unknowns."""
+    """Step that minimises the linearised objective, with unknowns within the bound of zero (None: unbounded)."""
     design = comparisons.derivatives_by_unknowns[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]
@@ -359,9 +359,10 @@ def estimate_covariance(
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
-    The observations are the readings and gauge lengths. For absolute deviations, the asymptotic distribution of the
-    median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
-    asin(correlation), to first order off the diagonal.
+    Only the `estimated_combinations` (unknowns, combinations) vary. The observations are the readings and gauge
+    lengths. For absolute deviations, the asymptotic distribution of the median for correlated normal observations is
+    used: the score of an observation is its sign, with E[sign sign] = 2/pi asin(correlation), to first order off the
+    diagonal.
     """
     design = comparisons.derivatives_by_unknowns @ estimated_combinations
     if norm == "squares":

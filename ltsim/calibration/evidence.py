@@ -245,10 +245,11 @@ def score_weights_and_constants_by_size(
     sizes: Floats = RELATIVE_EFFECT_SIZES,
     log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats]:
-    """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
+    """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its `sizes`.
 
-    `information_strength` (..., components) is the information on each independent component of the effect. The weights
-    have the shape (..., components, sizes), the constants (..., sizes).
+    `information_strength` (..., components) is the information on each independent component of the effect.
+    `log_size_prior` (sizes,) are the log prior probabilities of the sizes. The weights have the shape (..., components,
+    sizes), the constants (..., sizes).
     """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_size_prior - 0.5 * np.log(scale).sum(axis=-2)

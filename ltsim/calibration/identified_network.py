@@ -163,7 +163,8 @@ def adjust_with_cause_selection(
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with `effects`, and with the selected causes of a misfit.
 
-    `selection` is the result of `identify_causes`; if it is None, the model contains no causes.
+    `selection` is the result of `identify_causes`; None for no causes in the model. `robust`, `grouping` (of the
+    estimated noise), `datum` and `prior` are as in `ltsim.adjustment.estimate.adjust`.
     """
     how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
     if selection is not None and selection.requires_adjustment_with_causes:

@@ -24,7 +24,10 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class PairDistances:
-    """Distances between pairs of targets within each set of pointings (one station and one face), with derivatives."""
+    """Distances between pairs of targets within each set of pointings (one station and one face).
+
+    Derivatives are with respect to the readings and to the instrument parameters.
+    """
 
     lengths: Floats
     """Distances between the two targets of each pair, shape (distances,) [m]."""
@@ -120,7 +123,7 @@ class DistanceProblem:
         return distances, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
-        """Distances (distances, trials) within all sets (station and face), from points (pointings, 3, trials)."""
+        """Distances (distances, trials) [m] within sets (station and face), from points (pointings, 3, trials) [m]."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
@@ -144,7 +147,11 @@ class DistanceProblem:
         return point, by_reading * recording.reading_sigmas()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
-        """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings)."""
+        """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings).
+
+        `directions` (distances, 3) are unit vectors along the distances, `point_derivatives` (pointings, 3, 3) those of
+        the points with respect to the readings.
+        """
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
         n = len(point_derivatives)

@@ -97,8 +97,8 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     """Sentences on the parameters that contradict their prior most, or else on a contradicting combination.
 
-    Parameters whose prior was widened are reported too. Parameters and combinations share one prior probability of a
-    contradiction.
+    Parameters whose prior was widened because of the contradiction are also reported. Parameters and combinations share
+    one prior probability of a contradiction.
     """
     if not calibration.estimates.size or calibration.adjustment is None:
         return ()
@@ -164,7 +164,8 @@ def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Float
 def _combination_sentences(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
     """Sentence on the combination of parameters that contradicts the prior most; empty without a contradiction.
 
-    The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.
+    `scale` multiplies the standard deviations. The tested combinations are independent: eigenvectors of the covariance
+    in prior standard deviations.
     """
     n_parameters = calibration.construction.n_parameters
     for i in range(len(calibration.instruments)):

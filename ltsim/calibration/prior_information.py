@@ -33,7 +33,7 @@ class EarlierCalibrationPrior:
     parameters: tuple[str, ...]
     """Names of the parameters."""
     instruments: tuple[str, ...]
-    """Names of the instruments. A prior of a single instrument applies to any instrument of a recording."""
+    """Names of the instruments. A prior of a single instrument applies to every instrument of a recording."""
     mean: Floats
     """Mean of the parameters, shape (instruments, parameters) [SI]."""
     covariance: Floats

@@ -128,7 +128,10 @@ def _refit_with_best_shape_parameters(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters."""
+    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters.
+
+    `fixed_fields` are the names of the fields of each effect that keep their value.
+    """
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -164,7 +167,10 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers)."""
+    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers).
+
+    `fixed_fields` are the names of the shape parameters that the user fixed.
+    """
     parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")

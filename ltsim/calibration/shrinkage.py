@@ -48,11 +48,11 @@ MAX_PRIOR_SCALE = 30.0
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
 """Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals, above which a parameter is omitted (2: Akaike)."""
+"""Decrease of the sum of squared held-out residuals by the omission of a parameter, above which it is omitted."""
 MAX_DENSE_UNKNOWNS = 500
 """Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets for which it is tested whether they are predicted better without a parameter."""
+"""Smallest number of held-out targets for a test whether they are predicted better without a parameter."""
 
 
 def recommend_correction(
@@ -358,7 +358,7 @@ def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     """Predictions of every target that has redundant readings and whose coordinates can be eliminated.
 
-    The declared coordinates of a target are held out with its readings and predicted too.
+    The declared coordinates of a target are held out and predicted together with its readings.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, n_retained = adjustment.solution.system, adjustment.problem.unknowns.n_retained

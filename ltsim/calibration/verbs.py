@@ -173,7 +173,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets, shape parameters, or a law."""
+    """Requested effect from a text: an empirical law, or `NAME:WHERE,...` with stations, targets, shape parameters."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -201,7 +201,10 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
-    """Geometric error model with the given name; None for the model that the set-up declares."""
+    """Geometric error model with the given name; None for the model that the set-up declares.
+
+    `harmonics` and `degree` are options of the model `dh`.
+    """
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -317,7 +320,7 @@ def history(
 def _load_labelled(
     label: str, source: RecordingSource | Calibration, options: dict[str, Any]
 ) -> tuple[str, Calibration]:
-    """Label and calibration of a source; the label of a file is the name of the file."""
+    """Label and calibration of a source, with `options` of `calibrate`; the label of a file is its name."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

@@ -242,7 +242,7 @@ class SetupModel:
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
-    """Network state with the instrument at the origin, and each target at the mean of its used points."""
+    """Network state with the instrument at the origin, targets at means of the points that `row_mask` (n,) flags."""
     points = from_polar(recording.readings)
     is_complete = np.isfinite(points).all(axis=1)
     is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete

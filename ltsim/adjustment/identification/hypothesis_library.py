@@ -162,7 +162,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of all shifts of readings that are possible in a recording."""
+    """Families of all shifts of readings that are possible in a recording, one per kind of shift and of place."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -212,7 +212,7 @@ class ShiftCandidate:
     """Candidate hypothesis: shift of readings of one kind, at one station, target or instrument, from a time on."""
 
     family: ShiftFamily
-    """Family of the shift, with its kind and design matrix."""
+    """Family of the shift: all shifts of its kind, with their common design matrix."""
     place: ShiftPlace
     """Stations and targets where the shift acts."""
     onset_time: float
@@ -353,7 +353,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
 
 
 def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
-    """Indices 0 to `n_points` - 1 in order, with two indices exchanged."""
+    """Indices 0 to `n_points` - 1 in ascending order, with `first_index` and `second_index` exchanged."""
     order = list(range(n_points))
     order[first_index], order[second_index] = second_index, first_index
     return order

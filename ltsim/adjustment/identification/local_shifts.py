@@ -33,7 +33,7 @@ class LocalShiftProblem:
     is_outlier: Bools
     """Flags (m,), True for those of the m readings that are outliers of the network fit without the shift."""
     is_acting_parameter: Bools
-    """Flags (q,), True for those r of the q parameters of the shift that change any of the m readings."""
+    """Flags (q,), True for those r of the q parameters of the shift that change at least one of the m readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShiftProblem:
@@ -112,7 +112,8 @@ def _robust_parameters(
 
     `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals, `is_outlier` (h, m) flags
     outliers. `is_used` (h, m) is False for padding of shifts with fewer readings. A single parameter starts at the
-    median of residual divided by design over the outliers, several at a fit of least absolute deviations.
+    median of residual divided by design over the outliers, several parameters at a fit of least absolute deviations.
+    Each reading contributes at most `outlier_cost` to the negative log likelihood.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]

@@ -185,7 +185,9 @@ class FloorPlanTransform:
         return position @ self.rotation_to_plan.T + self.translation_to_plan
 
     def yaw_on_plan(self, rotation: Floats) -> float:
-        """Yaw [rad] on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the network."""
+        """Yaw [rad] from x on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the
+        network.
+        """
         plan_rotation = self.rotation_to_plan @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 

@@ -129,7 +129,7 @@ class PlannedNetwork:
         return replace(self, recording=full_recording.with_readings(np.concatenate([recording.readings, prediction])))
 
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
-        """Network with an additional set-up at a position (3,) [m] with a rotation matrix (3, 3).
+        """Network with an additional set-up `name` at a position (3,) [m] with a rotation matrix (3, 3).
 
         Instrument and levelling are copied from the station with the index `template_station`.
         """

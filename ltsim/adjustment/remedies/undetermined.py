@@ -92,7 +92,7 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
 
 
 def _index_of_first_largest(sizes: Floats) -> int:
-    """Index of the first value that is the largest up to rounding."""
+    """Index of the first of the `sizes` that equals the largest one up to rounding."""
     return int(np.flatnonzero(sizes >= (1.0 - NORMAL_EQUATIONS_TOLERANCE) * sizes.max())[0])
 
 
