@@ -109,8 +109,8 @@ class Adjustment(Result):
 
         The values of the readings in `recording` have no influence, only which observables are measured. `state`
         contains planned poses and targets, and instrument parameters. The parameters of `construction` (default: an
-        ideal tracker) and `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that of
-        the set-up. Raises NetworkError if the pointings do not determine all poses and targets.
+        ideal tracker) and `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that in
+        `setup.toml`. Raises NetworkError if the pointings do not determine all poses and targets.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:

@@ -102,7 +102,7 @@ def relevant_air_uncertainty(
 ) -> AirUncertainty | None:
     """Uncertainty of air temperature, gradient and turbulence; None if all ranges are too short to be affected.
 
-    By default `air_uncertainty` is the uncertainty that the set-up file declares.
+    By default `air_uncertainty` is the uncertainty that `setup.toml` declares.
     """
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
@@ -179,7 +179,7 @@ def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncerta
     """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero if all ranges are short.
 
     `columns` (c, k) are the columns of the unknowns in the design matrix A. `air` is the uncertainty of the air, by
-    default as declared in the set-up file. The result is C A' S A C, with the covariance C of the unknowns and the
+    default as declared in `setup.toml`. The result is C A' S A C, with the covariance C of the unknowns and the
     covariance S of the whitened observations due to the air.
     """
     counted, size = relevant_air_uncertainty(adjustment, air), columns.shape[1]
@@ -222,7 +222,7 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
     """Joint covariance (3 T, 3 T) [m^2] of T targets due to errors of the air; zero if all ranges are short.
 
-    `air` is the uncertainty of the air, by default as declared in the set-up file.
+    `air` is the uncertainty of the air, by default as declared in `setup.toml`.
     """
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return covariance_due_to_air(adjustment, columns, air)[0]

@@ -50,7 +50,7 @@ class DeclaredFrame:
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
-        """Coordinates and directions that the set-up file of a recording declares."""
+        """Coordinates and directions that the `setup.toml` of a recording declares."""
         marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (

@@ -79,7 +79,7 @@ class ParameterPrior:
 
 
 def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
-    """Prior standard deviations (I, p) [SI] of the p parameters of each of I instruments, from the set-up."""
+    """Prior standard deviations (I, p) [SI] of the p parameters of each of I instruments, from `setup.toml`."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     sigma_rows = [[p.prior_sigma_from(prior) for p in construction.parameters] for prior in priors]
     return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)

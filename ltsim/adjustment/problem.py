@@ -74,7 +74,7 @@ class NetworkProblem(NetworkRows):
         `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings of n pointings, by default the declared
         ones, and `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak
         prior of each parameter of additional effects, divided by its plausible size. `prior` is the prior of the
-        instrument parameters, by default that of the set-up.
+        instrument parameters, by default that in `setup.toml`.
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)

@@ -152,7 +152,7 @@ class ParameterEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Refit:
-    """Network adjusted with some effects, and the estimates of their linear and shape parameters."""
+    """Network adjusted with some effects, and the estimates of their linear and shape parameters (such as periods)."""
 
     adjustment: Adjustment
     """Network adjusted with the effects in its model."""

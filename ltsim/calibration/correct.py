@@ -34,7 +34,7 @@ def correct(
         Recording of the same instrument, with any network.
     calibration : Calibration, str or Path
     allow_repeated : bool
-        Also correct readings that the set-up declares corrected.
+        Also correct readings that `setup.toml` declares corrected.
     allow_rejected : bool
         Also use a calibration whose readings contradict its model.
 
@@ -56,7 +56,7 @@ def correct(
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
     if not allow_repeated and any(source.instrument_of(name).corrected for name in source.stations):
-        raise RecordError("the set-up declares the readings corrected (corrected = true); correct readings only once")
+        raise RecordError("setup.toml declares the readings corrected (corrected = true); correct readings only once")
     if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
@@ -75,7 +75,7 @@ def correct(
 def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
     """Change of the readings by estimated incidence errors of the reflectors, shape (pointings, 3) [m, rad, rad].
 
-    The change is zero if the set-up declares no normals of nests, or if no approximate network can be computed.
+    The change is zero if `setup.toml` declares no normals of nests, or if no approximate network can be computed.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())

@@ -204,7 +204,7 @@ class DistanceErrorPropagation:
 
     @cached_property
     def _whitened_design(self) -> Floats:
-        """Whitened design matrix D of readings and gauge, shape (observations, unknowns of the network)."""
+        """Whitened design matrix D of readings and reference lengths, shape (observations, unknowns of the network)."""
         n_rows = len(self._used_reading_indices) + len(self.adjustment.problem.gauge_rows)
         return to_dense(self.adjustment.solution.system.design[:n_rows])
 
@@ -217,7 +217,7 @@ class DistanceErrorPropagation:
     def _parameter_design(self) -> Floats:
         """Whitened design matrix B of the parameters, shape (observations, parameters of all instruments).
 
-        The parameters are in units of their prior standard deviations. Rows of gauge lengths are zero.
+        The parameters are in units of their prior standard deviations. Rows of reference lengths are zero.
         """
         recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state

@@ -49,8 +49,8 @@ class DistanceComparisons:
     """Derivative of each comparison with respect to each unknown in prior standard deviations, shape (comparisons,
     unknowns) [m]."""
     derivatives_by_noise: sp.csr_array
-    """Derivative of each comparison with respect to each whitened reading and gauge length, shape (comparisons, 3
-    pointings + gauge lengths) [m]."""
+    """Derivative of each comparison with respect to each whitened reading and reference length, shape (comparisons, 3
+    pointings + reference lengths) [m]."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class DistanceEstimate:
     """Covariance of the estimates, shape (unknowns, unknowns). Combinations fixed at zero contribute their prior
     variance."""
     covariance_with_observations: Floats
-    """Covariance of the estimates with the whitened readings and gauge lengths, shape (unknowns, 3 pointings + gauge
-    lengths)."""
+    """Covariance of the estimates with the whitened readings and reference lengths, shape (unknowns, 3 pointings +
+    reference lengths)."""
     undetermined_combinations: tuple[ParameterCombination, ...]
     """Combinations of parameters that the distances do not determine and that are fixed at zero."""
     objective_value: float
@@ -83,7 +83,7 @@ def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistance
 
 
 def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Terms of the distance objective: differences between two stations or faces, or from a length of the gauge."""
+    """Terms of the distance objective: differences of distances between stations or faces, or from known lengths."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)
@@ -102,7 +102,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 def _append_gauge_rows(
     problem: DistanceProblem, distances: PairDistances, set_comparison_matrix: sp.csr_array
 ) -> DistanceComparisons:
-    """Comparisons between sets of pointings, followed by the deviations of distances from their gauge lengths."""
+    """Comparisons between sets of pointings, then the deviations of distances from their reference lengths."""
     at, which = problem.gauge_match_indices(distances)
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
@@ -133,7 +133,8 @@ def solve_determined_combinations(
     Raises
     ------
     NetworkError
-        If no pair of targets was measured from two stations (or faces), and there is no gauge.
+        If no pair of targets was measured from two stations (or faces), and no reference length is declared.
+
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     deviation_rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
@@ -359,7 +360,7 @@ def estimate_covariance(
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
-    Only the `estimated_combinations` (unknowns, combinations) vary. The observations are the readings and gauge
+    Only the `estimated_combinations` (unknowns, combinations) vary. The observations are the readings and reference
     lengths. For absolute deviations, the asymptotic distribution of the median for correlated normal observations is
     used: the score of an observation is its sign, with E[sign sign] = 2/pi asin(correlation), to first order off the
     diagonal.

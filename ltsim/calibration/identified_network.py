@@ -57,7 +57,7 @@ class IdentifiedNetwork:
         robust: bool = False,
         datum_names: Sequence[str] | None = None,
     ) -> Self:
-        """Network of a recording, with the prior of its set-up; `datum_names` are the targets that define the datum.
+        """Network of a recording, with the prior in `setup.toml`; `datum_names` are the targets that define the datum.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
         """

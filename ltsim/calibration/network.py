@@ -58,7 +58,7 @@ def calibrate_network(
     Parameters
     ----------
     parameter_selection : ParameterSelection, optional
-        Parameters to estimate, and their prior. Default: all, with the prior of the set-up.
+        Parameters to estimate, and their prior. Default: all, with the prior in `setup.toml`.
     choose_correction : bool
         True to shrink the correction (`calibration.shrinkage`), to widen priors that the readings contradict, and
         to identify single causes of a misfit, such as a moved station. If False, the model and the priors are the
@@ -166,7 +166,7 @@ def adjust(
     noise_from_data : bool
         True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints. Default: the selection in the set-up.
+        Targets that define the datum by inner constraints. Default: the selection in `setup.toml`.
 
     Returns
     -------

@@ -53,7 +53,7 @@ class DistanceProblem:
 
     @cached_property
     def reference_lengths(self) -> GaugeRows:
-        """Reference lengths (of the gauge) that the set-up declares."""
+        """Reference lengths (known distances of targets) that `setup.toml` declares."""
         return GaugeRows.from_recording(self.recording)
 
     @cached_property

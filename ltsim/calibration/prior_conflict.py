@@ -29,7 +29,7 @@ MAX_WIDENED_PRIOR_FRACTION = 0.25
 """Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more priors
 are contradicted, the scale of all priors is wrong; `shrinkage` then estimates this scale."""
 CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves errors of"
-"""Phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
+"""Phrase in sentences in place of `its prior`, for an instrument that `setup.toml` declares corrected."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:

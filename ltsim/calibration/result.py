@@ -209,7 +209,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueTestE
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of the axes that declared coordinates define, from their misfit to the network.
 
-    The result is None if the set-up declares no such coordinates.
+    The result is None if `setup.toml` declares no such coordinates.
     """
     accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     if not accepted_tests:
@@ -313,7 +313,7 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
 
 
 def _has_declared_datum_points(adjustment: Adjustment) -> bool:
-    """True if the set-up declares coordinates of targets that define the datum."""
+    """True if `setup.toml` declares coordinates of targets that define the datum."""
     names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)

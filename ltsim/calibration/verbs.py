@@ -66,7 +66,7 @@ def calibrate(
     construction : {`misalignment`, `dh`, `steering-mirror`} or GeometricErrorModel, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
         (`steering-mirror`, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (`dh`, 78); default: the
-        model declared in the set-up.
+        model declared in `setup.toml`.
     robust, noise_from_data, datum
         Options of `adjust`, for method `network` only.
     parameters : str or sequence of str, optional
@@ -77,7 +77,7 @@ def calibrate(
     hold : mapping of str to float, optional
         Parameters that are fixed at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. The value `none`
+        Estimates of earlier calibrations with their covariance, in place of the prior in `setup.toml`. The value `none`
         means no prior: the readings alone determine how far the correction is shrunk. For method `network` only.
     harmonics : int, optional
         Order of the harmonics in the errors of the axes of a D-H chain, 0 to 4; default 2.
@@ -201,7 +201,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
-    """Geometric error model with the given name; None for the model that the set-up declares.
+    """Geometric error model with the given name; None for the model that `setup.toml` declares.
 
     `harmonics` and `degree` are options of the model `dh`.
     """

@@ -51,7 +51,7 @@ class AdjustOptions(FunctionOptions):
     datum: Annotated[
         str | None,
         name_list_option(
-            "datum", "Targets that define the datum by inner constraints. Default: the selection in the set-up."
+            "datum", "Targets that define the datum by inner constraints. Default: the selection in setup.toml."
         ),
         split_names,
     ] = None
@@ -79,7 +79,7 @@ class CalibrateOptions(FunctionOptions):
             ("misalignment", "dh", "steering-mirror"),
             "Misalignments with the source in the head (misalignment, 16 parameters) or with a steering mirror "
             "(steering-mirror, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (dh, 78); default: the "
-            "model declared in the set-up.",
+            "model declared in setup.toml.",
         ),
     ] = None
     robust: Annotated[bool, typer.Option("--robust", help="Options of adjust, for method network only.")] = False
@@ -115,7 +115,7 @@ class CalibrateOptions(FunctionOptions):
         typer.Option(
             "--prior",
             metavar="FILE|none",
-            help="Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. The "
+            help="Estimates of earlier calibrations with their covariance, in place of the prior in setup.toml. The "
             "value none means no prior: the readings alone determine how far the correction is shrunk. For method "
             "network only.",
         ),

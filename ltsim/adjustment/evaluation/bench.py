@@ -67,7 +67,7 @@ class BenchRow(Entry):
     """Measured length minus the length at the angle nearest 0 deg [um]; it contains the effect of the eccentricity of
     the sphere."""
     error_um: Finite
-    """Range error of the reflector [um]: measured minus true range."""
+    """Range error of the reflector [um], measured minus true range, relative to that at the angle nearest 0 deg."""
     sigma_um: Finite
     """Standard deviation of the range error [um]."""
 

@@ -71,7 +71,7 @@ True if the test passed."""
 def check(
     recording: RecordingSource, *, level: float = FAMILY_WISE_LEVEL, mpe: tuple[float, float] | None = None
 ) -> Check:
-    """Field check of a recording: tests of two-face differences, repeated points, drifts, bumps and scatter.
+    """Field check of a recording: tests of two-face differences, repeated points, motions, drifts and scatter.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class GrossAndMotionTests:
     corrected_setup_model: SetupModel
     """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
-    """Detected motions of the station (bump, drift)."""
+    """Detected motions of the station: sudden (bump) or at a constant rate (drift)."""
     motion_corrected_recording: Recording
     """Recording of the set-up whose readings are corrected for the detected motions and drifts."""
 

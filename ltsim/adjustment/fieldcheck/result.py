@@ -147,7 +147,7 @@ class SetupCheck(ValueEquality):
     row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotionEffect, ...] = ()
-    """Detected motions of the station (bump, drift) during its occupation."""
+    """Detected motions of the station during its occupation: sudden (bump) or at a constant rate (drift)."""
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class SetupModel:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> SetupModel:
-        """Model of the set-up with another cause, such as a bump, as additional unknowns.
+        """Model of the set-up with a suspected cause of errors, such as a drift, as additional unknowns.
 
         `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.
         """

@@ -76,7 +76,7 @@ class FitInput:
     construction: GeometricErrorModel
     """Geometric error model of the tracker, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument parameters; None for the prior that the set-up declares."""
+    """Prior of the instrument parameters; None for the prior that `setup.toml` declares."""
     is_usable_reading: Bools | None = None
     """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 

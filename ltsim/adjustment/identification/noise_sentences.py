@@ -38,7 +38,7 @@ def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Advice to declare the estimated noise in the set-up, as the end of a sentence.
+    """Advice to declare the estimated noise in `setup.toml`, as the end of a sentence.
 
     For a single instrument and a recording without columns of standard deviations it contains the values to declare.
     """

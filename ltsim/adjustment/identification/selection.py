@@ -45,7 +45,7 @@ from ltsim.solve.threads import single_threaded
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of hypotheses on causes of a misfit that are selected for one network."""
 MAX_CAUSES_COMPARED_WITH_CENTRING = 3
-"""Largest number of other causes that together are compared with centring errors, by log evidence."""
+"""Largest number of causes other than centring errors that together are compared with centring errors."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Smallest number of pointings of a large network. If a large network passes the global test, no causes are searched,
 which saves 5 s of processor time.

@@ -155,7 +155,7 @@ class FloorPlanTransform:
     translation_to_plan: Floats
     """Translation (3,) [m] after the rotation to the axes of the floor plan."""
     has_plan: bool
-    """True if the set-up declares positions of stations on a floor plan."""
+    """True if `setup.toml` declares positions of stations on a floor plan."""
 
     @classmethod
     def from_recording(cls, recording: Recording, state: NetworkState) -> Self:
@@ -185,9 +185,7 @@ class FloorPlanTransform:
         return position @ self.rotation_to_plan.T + self.translation_to_plan
 
     def yaw_on_plan(self, rotation: Floats) -> float:
-        """Yaw [rad] from x on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the
-        network.
-        """
+        """Yaw [rad] from x on the floor plan of an instrument with the rotation `rotation` (3, 3) in the network."""
         plan_rotation = self.rotation_to_plan @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 

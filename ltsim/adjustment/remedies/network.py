@@ -37,7 +37,7 @@ class PlannedNetwork:
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument parameters; None for the prior of the set-up."""
+    """Prior of the instrument parameters; None for the prior in `setup.toml`."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
