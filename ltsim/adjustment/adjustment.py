@@ -202,7 +202,7 @@ class Adjustment(Result):
 
     @cached_property
     def sightings(self) -> Sightings:
-        """Range, direction and regressors (time and so on) of each pointing, computed from the adjusted network."""
+        """Range, direction and covariates (such as time) of each pointing, computed from the adjusted network."""
         return self.problem.model.sightings(self.state)
 
     @cached_property

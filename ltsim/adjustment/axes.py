@@ -183,7 +183,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
 
 def unmeasured_points_notes(names: Sequence[str], source_text: str) -> list[str]:
-    """Note on the points of a file that no pointing measures, so that they are not used; none without such points.
+    """Note on points of a file that no pointing measures and that are not used; an empty list without such points.
 
     `names` are the names of these points, and `source_text` is the name of their file.
     """

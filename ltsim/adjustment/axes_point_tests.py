@@ -66,7 +66,7 @@ def exclude_contradicting_axes_points(
 def axes_point_tests_with_declared_points(
     adjustment: Adjustment, declared_recording: Recording
 ) -> tuple[ReferenceTest, ...]:
-    """Tests of all points that define the axes in `declared_recording`, given the identified errors in a model.
+    """Tests of all points that define the axes in `declared_recording`, with identified errors in the model.
 
     An earlier adjustment without these errors in its model may have excluded right points. All points are therefore
     tested again. The result is empty if no declared points define the axes.

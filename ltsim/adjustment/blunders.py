@@ -256,7 +256,7 @@ def _correct_face_units(recording: Recording) -> tuple[Recording, list[Identifie
 
 
 def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
-    """Blunder that two stations measured mirror images of each other, as a list; an empty list if they did not.
+    """Blunder that two stations measured mirror images of each other, as a list; empty without mirror images.
 
     One of the stations has clockwise azimuths, but the readings do not show which one.
     """

@@ -45,7 +45,7 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up, derived from the coordinates of its mark; NaN if the mark has none.
+        """Position (3,) [m] of a set-up, derived from the coordinates of its mark; NaN if the mark has no coordinates.
 
         The mark is one of T targets, with coordinates `points` (T, 3) [m], or its coordinates are computed from another
         of S set-ups over the same mark, with positions `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
@@ -79,7 +79,8 @@ class StationMarks:
 def _require_height_above_sighted_marks(recording: Recording, mark_targets: Ints) -> None:
     """Check that no set-up measures the mark under it at its own height; raises NetworkError.
 
-    `mark_targets` (S,) are the indices of the targets that are marks under the S set-ups, -1 for none.
+    `mark_targets` (S,) are the indices of the targets that are marks under the S set-ups, -1 for set-ups over no
+    target.
     """
     is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
     for row in np.flatnonzero(is_at_mark).tolist():

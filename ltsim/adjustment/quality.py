@@ -36,8 +36,8 @@ MIN_COS_MEDIAN_TILT = 0.9
 """Smallest cosine of the median tilt of the stations, at which their positions are compared with the floor plan."""
 MAX_POSE_CURVATURE = 0.3
 """Largest nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in standard
-deviations of a reading) at which the standard deviations of the pose are valid. Above it they are reported as too
-small.
+deviations of a reading) at which the standard deviations of the pose are valid. Above this limit the standard
+deviations are reported as too small.
 """
 TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),

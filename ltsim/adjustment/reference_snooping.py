@@ -49,7 +49,7 @@ MIN_TESTED_WHITENED_RESIDUAL = MIN_CERTAIN_ERROR_SIGMAS * float(np.sqrt(MIN_TEST
 causes a larger residual, if the redundancy number is at least `MIN_TESTED_REDUNDANCY`."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
 """Smallest number of other reference values of one kind, at which the wrong one of several contradicting values can be
-identified; with fewer values none is excluded."""
+identified; with fewer values no value is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after the exclusion of reference values to chi-square before, below which the excluded values are
 certainly wrong."""

@@ -71,7 +71,8 @@ class ReferenceTest(ReferenceValue):
     """Names of other reference values whose errors would explain the misfit equally well. None of these values is
     excluded, unless all are set-ups over marks."""
     error_length_sigma: float | None = None
-    """Standard deviation [m, rad or 1] of the length of `error`, by its covariance; None if it is not known."""
+    """Standard deviation [m, rad or 1] of the length of `error`, by its covariance; None if this covariance is not
+    known."""
 
     @property
     def normalised_error(self) -> float:

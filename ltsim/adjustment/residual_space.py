@@ -114,7 +114,7 @@ class ResidualSpace:
     def nonzero_whitened_design(self, effect: LinearEffect) -> tuple[Ints, Floats]:
         """Indices (r,) of the r equations that an effect of q parameters changes, and their whitened design (r, q).
 
-        The result contains the nonzero rows of `whitened_design`. It is computed much faster if they are few.
+        The result contains the nonzero rows of `whitened_design`; if these are few, the computation is much faster.
         """
         place, weight = self._used_reading_weights
         readings = effect.design(self.sightings).reshape(-1, len(effect.parameters))

@@ -382,13 +382,13 @@ class NetworkInitialiser:
 
     @property
     def undetermined_lines_text(self) -> str:
-        """Text, for the end of a message, on lines whose horizontal length no reading determines; empty without any."""
+        """Text, for the end of a message, on lines whose horizontal length no reading determines; or empty."""
         ends = [*self._recording.targets, *self._recording.stations]
         lines = names_text([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Result of `initial_network`; raises NetworkError with the given text if a station is not connected."""
+        """Result of `initial_network`; the error for unconnected stations ends with `undetermined_lines_text`."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
         targets = self._pairs.target_indices[self._pairs.pair_slice_of_station(nearest)]

@@ -88,7 +88,7 @@ class CalibrationArrays(ValueEquality):
         return self.covariance / np.outer(unit, unit)
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> CalibrationArrays:
-        """Arrays of the instrument with index `instrument`, reduced to the parameters with the given indices."""
+        """Arrays of the instrument with index `instrument`, reduced to the parameters `parameter_indices`."""
         row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_indices
         return replace(
             self,

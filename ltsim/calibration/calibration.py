@@ -148,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """Calibration with the given arrays; `fields` are the values of its other fields."""
+        """Calibration with the given arrays; `fields` are the values of the other fields by their names."""
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
@@ -168,13 +168,13 @@ class Calibration(UncertaintyEntry, ResultFile):
         return result
 
     def with_changes(self, **changes: Any) -> Self:
-        """Copy of the calibration with other values of the given fields or arrays."""
+        """Copy of the calibration; `changes` are the new values of fields or arrays by their names."""
         array_names = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in array_names})
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
-        """Copy of the calibration with the given arrays and other values of the given fields."""
+        """Copy of the calibration with the given arrays; `changes` are new values of other fields by their names."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in FIELDS_NOT_COPIED}
         return type(self).from_arrays(arrays, **{**fields, **changes})
 
@@ -328,7 +328,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         }
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> Self:
-        """Calibration of the instrument with index `instrument`, reduced to the parameters with the given indices."""
+        """Calibration of the instrument with index `instrument`, reduced to the parameters `parameter_indices`."""
         return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
     def applied_values_for(self, recording: Recording) -> Floats:

@@ -164,8 +164,8 @@ def solve_all_combinations(
 ) -> DistanceEstimate:
     """Minimum of the distance objective (Sensors 2021, 21, 7479, eq. 9) over all combinations of unknowns.
 
-    Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
-    and the errors are as in `solve_determined_combinations`.
+    Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero; None for no bound. The other
+    arguments and the errors are as in `solve_determined_combinations`.
 
     Raises
     ------

@@ -101,7 +101,7 @@ def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
 
 
 def _missing_parameters_warnings(names: list[str], file: Path) -> tuple[str, ...]:
-    """Warning with the names of the parameters that a file lacks; empty if it lacks none."""
+    """Warning with the names of the parameters that a file lacks; empty for a complete file."""
     if not names:
         return ()
     phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

@@ -93,7 +93,7 @@ class IdentifiedNetwork:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on the causes in the model, and on readings that contradict the model; empty without any."""
+        """Sentences on the causes in the model, and on readings that contradict the model; empty without both."""
         return tuple(dict.fromkeys(filter(None, (self.corrections_text, *self.warnings))))
 
     @property
@@ -201,7 +201,7 @@ def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """The given adjustment; raises NetworkError if `datum` is requested although control points define the frame."""
+    """Unchanged `adjustment`; raises NetworkError if `datum` is requested although control points define the frame."""
     if datum and not adjustment.problem.free_motions.shape[1]:
         raise NetworkError(
             "the control points define the frame already: leave out the datum, or the coordinates of the control points"

@@ -193,9 +193,9 @@ class ParameterSelection:
 def parameter_vector_indices(
     parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
 ) -> list[int]:
-    """Indices of a parameter, or of all parameters with a given prefix, in the vector of all instruments' parameters.
+    """Indices of a parameter, or of all that begin with a prefix, in the vector of all instruments' parameters.
 
-    Raises ModelError if there is none.
+    Raises ModelError if no parameter has this name or prefix.
     """
     name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:

@@ -137,12 +137,12 @@ class StationPose(Entry):
 
     @property
     def sigma_position(self) -> Floats:
-        """Standard deviation of the position, (3,) [m]; NaN if the file has none."""
+        """Standard deviation of the position, (3,) [m]; NaN if the file does not contain it."""
         return np.array(self.sigma_position_mm or [np.nan] * 3, dtype=np.float64) * MILLIMETRE
 
     @property
     def sigma_rotation(self) -> Floats:
-        """Standard deviation of the rotation, (3,) [rad]; NaN if the file has none."""
+        """Standard deviation of the rotation, (3,) [rad]; NaN if the file does not contain it."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
 
 
@@ -346,7 +346,7 @@ class ReflectorEntry(Entry):
     """Incidence error (range error by angle of incidence) of a reflector in fixed nests, estimated with the network."""
 
     reflector: str = ""
-    """Name of the reflector; empty if the recording names none."""
+    """Name of the reflector; empty if the recording contains no names of reflectors."""
     parameters: tuple[FittedParameterEntry, ...]
     """Parameters of the reflector's incidence error, as in the effect `smr-incidence`."""
 

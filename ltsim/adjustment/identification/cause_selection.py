@@ -119,12 +119,12 @@ class CauseSelection:
 
     @property
     def _certain_hypotheses(self) -> list[CauseHypothesis]:
-        """Selected hypotheses that are certain: large gain of log evidence, or a badly seated reflector."""
+        """Selected hypotheses that are certain: with a large gain of log evidence, or on a badly seated reflector."""
         return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
-        """Effects, such as motions and offsets, of those certain hypotheses that shift readings."""
+        """Effects, such as motions and offsets, of those selected hypotheses that are certain and shift readings."""
         changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
@@ -132,8 +132,9 @@ class CauseSelection:
     def requires_adjustment_with_causes(self) -> bool:
         """True if the selected hypotheses must be in the model before other tests of the network are possible.
 
-        Such hypotheses are certain errors of all readings of a set-up or target, exchanged reference coordinates, and a
-        reference value with a large error. The adjustment itself tests motions of stations and other reference values.
+        Such hypotheses, if their gain of log evidence is large, are errors of all readings of a set-up or target,
+        exchanged reference coordinates, and a reference value with a large error. The adjustment itself tests motions
+        of stations and other reference values.
         """
         certain = self._certain_hypotheses
         shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
@@ -169,7 +170,7 @@ class CauseSelection:
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
-        """Certain motions of stations: for each station only the motion with the largest gain of log evidence."""
+        """Motions of stations that are certain (large gain of log evidence); for each station only the likeliest."""
         motions: dict[tuple[str, ...], FittedMotion] = {}
         for effect in self._certain_effects:
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
@@ -184,7 +185,7 @@ class CauseSelection:
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if a selected hypothesis shifts readings in another way than by a certain motion of a station."""
+        """True if a selected hypothesis shifts readings in another way than the `certain_station_motions` do."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 

@@ -122,7 +122,7 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
-        """Network fit with hypotheses in its model; None if it does not converge or a shift is not significant.
+        """Network fit with hypotheses in its model; None if the fit does not converge or a shift is not significant.
 
         The fit starts at `start_state`, by default at `robust_state` (the state of a robust fit, which is computed if
         None). With `approximate_sightings` (approximate ranges and directions of the pointings) the start values of the
@@ -179,7 +179,7 @@ class NetworkFit:
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
     def common_displacement_length(self, hypothesis: CauseHypothesis) -> CommonDisplacementLength | None:
-        """Common length of the displacements of a hypothesis of centring errors at one set-up; None if they differ."""
+        """Common length of displacements by a hypothesis of centring errors at one set-up; None for unequal lengths."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None

@@ -99,7 +99,7 @@ ModelChange = (
 
 @dataclass(frozen=True)
 class CauseHypothesis:
-    """Hypothesis that one cause, at certain stations or targets, explains a misfit of readings and model."""
+    """Hypothesis that one cause, at some stations or targets, explains a misfit of readings and model."""
 
     kind: CauseKind
     """Kind of the cause."""

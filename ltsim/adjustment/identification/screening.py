@@ -364,7 +364,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
 
 
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
-    """Hypothesis (or none) that reference lengths and distances differ in scale, preceded by its log evidence gain."""
+    """Hypothesis that reference lengths and distances differ in scale, after its gain of log evidence, as a list."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_SCALE_TEST_LENGTHS:
         return []

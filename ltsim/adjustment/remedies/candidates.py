@@ -123,9 +123,9 @@ class CandidateMeasurement:
     """Network that includes the proposed measurement, with predicted readings."""
 
     def make_adjustment(self) -> Adjustment | None:
-        """Adjustment of the network with the proposed measurement; None if it leaves a pose undetermined.
+        """Adjustment of the network with the proposed measurement; None if a pose remains undetermined.
 
-        This happens if an additional set-up measures too few targets.
+        A pose is undetermined if an additional set-up measures too few targets.
         """
         try:
             return self.network.make_adjustment()
@@ -147,7 +147,7 @@ class CandidateMeasurement:
 class FloorPlanTransform:
     """Transformation from the frame of the network to the floor plan; the identity if there is no floor plan.
 
-    It rotates only about the vertical, because levels are more accurate than positions on a floor plan.
+    The transformation rotates only about the vertical, because levels are more accurate than positions on a floor plan.
     """
 
     rotation_to_plan: Floats

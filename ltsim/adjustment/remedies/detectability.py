@@ -197,7 +197,7 @@ def visible_information(
 def _minimal_detectable_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable sizes (q,) of q parameters, each acting alone, from their information matrix (q, q).
 
-    A size is infinite if there is no information. `noncentrality` is that of detection.
+    A size is infinite without information on the parameter. `noncentrality` is that at which an effect is detected.
     """
     diagonal = np.diag(information)
     minimal_detectable_sizes = np.full(len(diagonal), np.inf)

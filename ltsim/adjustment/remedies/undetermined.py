@@ -207,7 +207,7 @@ def _measurement_for_combination(
     """Measurement that determines one combination of parameters.
 
     `candidates_with_gains` contains the instruction of each candidate measurement and the gain of the combination with
-    it (fraction of the prior variance that the readings remove); `present_gain` is the gain without it.
+    this measurement (fraction of the prior variance that the readings remove); `present_gain` is the gain without it.
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")
