@@ -83,7 +83,7 @@ def iterate_reweighted(
 
     Huber's weights permit a poor start state. If many residuals are large with these weights, Cauchy's weights are
     tried too: with them a good start state changes little, although many readings of one station or target contradict
-    it. The result with the smaller Cauchy objective is returned.
+    it. The result with the smaller sum of Cauchy's robust loss is returned.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
 
 
 def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
-    """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals of each."""
+    """Index of the solution with the smallest sum of Cauchy's robust loss, from the residuals of each solution."""
     scale = max(min(robust_sigma(whitened) for whitened in residuals_of_solutions), 1.0)
     return int(
         np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_solutions])

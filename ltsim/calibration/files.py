@@ -59,7 +59,8 @@ def read_calibration(path: Path) -> Calibration:
     """Calibration read from a `calibration.json`, or from the folder that contains it.
 
     The targets and the network are not in this file. Without a covariance in the file the parameters count as
-    uncorrelated. Missing parameters are zero with their prior standard deviation, and a warning reports them.
+    uncorrelated. Missing parameters are zero with the prior standard deviation of the error model, and a warning
+    reports them.
 
     Raises
     ------

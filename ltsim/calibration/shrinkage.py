@@ -193,7 +193,9 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence for users on the scale of the prior; empty unless it was estimated or the scale 1 rejected."""
+        """Sentence for users on the scale of the prior (factor on its sigmas); empty unless it was estimated or is not
+        1.
+        """
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
@@ -208,7 +210,7 @@ class ScaledPrior:
         if not self._is_scale_estimated:
             return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"more than half is applied in {int(np.sum(share > 0.5))} of {len(share)} parameter combinations"
+        phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
         return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
 
     def estimate_at_scale(self, prior_scale: float) -> Floats:

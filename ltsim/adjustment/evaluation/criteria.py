@@ -60,13 +60,13 @@ CRITERIA_TABLE = Table(
     "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "distance (between targets) or coordinate (of targets)", "text"),
-        Column("mean_um", "mean over the pairs of targets, or over the targets", display_format=".1f"),
-        Column("max_um", "maximum over the pairs of targets, or over the targets", display_format=".1f"),
-        Column("mean_after_um", "mean after correction of the readings", display_format=".1f"),
-        Column("max_after_um", "maximum after correction of the readings", display_format=".1f"),
+        Column("mean_um", "mean disagreement over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("max_um", "maximum disagreement over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("mean_after_um", "mean disagreement after correction of the readings", display_format=".1f"),
+        Column("max_after_um", "maximum disagreement after correction of the readings", display_format=".1f"),
         Column(
             "improvement_percent",
-            "decrease of the mean by the correction, in percent of the mean before",
+            "decrease of the mean disagreement by the correction, in percent of its value before",
             display_format=".1f",
         ),
     ),
