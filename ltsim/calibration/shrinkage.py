@@ -193,9 +193,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence for users on the scale of the prior (factor on its sigmas); empty unless it was estimated or is not
-        1.
-        """
+        """Sentence for users on the scale of the prior (factor on its sigmas); empty if the scale is 1 by default."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
