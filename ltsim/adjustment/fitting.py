@@ -30,7 +30,7 @@ N_ITERATED_STARTS = 150
 MAX_START_POINTS = 400
 """Largest number of start values in the fit of a point, limited because of the computing time."""
 START_AZIMUTHS = np.arange(8) * np.pi / 4
-"""Azimuths [rad] of eight directions, evenly spaced."""
+"""Evenly spaced azimuths [rad], used as start values of yaws and of directions to a point."""
 START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), START_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10

@@ -30,8 +30,8 @@ from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
 from ltsim.recordings.transcription_errors import DEGREES_FOR_GON, UNIT_AND_CONVENTION_ERRORS
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Largest sigma0 at which the observations count as consistent. Above it other units are tried, and a warning states
-that standard deviations are not valid."""
+"""Largest sigma0 at which the observations count as consistent. Above this limit other units of the readings are tried,
+and a warning states that standard deviations are not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
 """Smallest cosine of the median tilt of the stations, at which their positions are compared with the floor plan."""
 MAX_POSE_CURVATURE = 0.3

@@ -55,7 +55,7 @@ MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 certainly wrong."""
 MAX_EXCLUDED_REFERENCE_FRACTION = 1 / 3
 """Largest fraction of the reference values of one kind that may be excluded. If more seem wrong, all values of this
-kind are inconsistent and none is excluded."""
+kind are inconsistent and no value is excluded."""
 
 
 def snoop_references(

@@ -41,7 +41,8 @@ OBJECTIVE_NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
-"""Norm that each distance method minimises: `squares` (sum of squares) or `absolute` (sum of absolute values)."""
+"""Norm that each method of calibration by distances minimises: `squares` (sum of squares) or `absolute` (sum of
+absolute values)."""
 
 
 def calibrate_distance(

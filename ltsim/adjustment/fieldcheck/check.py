@@ -60,7 +60,7 @@ from ltsim.recordings.result_file import write_result
 from ltsim.recordings.times import interval_text
 
 N_TESTS_PER_SETUP = 6
-"""Number of tests of one set-up: two faces, gross errors, bump, station drift, instrument drift, scatter."""
+"""Number of tests of one set-up: two faces, gross errors, sudden motion, station drift, instrument drift, scatter."""
 
 
 DriftSentenceFunction = Callable[[Recording, AddedColumnsFit, bool], str]

@@ -38,7 +38,8 @@ standard deviations. Combinations with smaller singular values change the readin
 """
 MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
 """Smallest fraction of a determined parameter that lies in the space of determined combinations of parameters (squared
-length of the projection of its unit vector). A parameter below it is undetermined and gets an infinite variance."""
+length of the projection of its unit vector). A parameter with a smaller fraction is undetermined and gets an infinite
+variance."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
 """Number of outliers in a network, above which trial fits without the distances of one station or target are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
-a trial fit without these distances is made."""
+a trial fit without the distances is made."""
 MAX_FITTED_HYPOTHESES = 4
 """Largest number of hypotheses that one step of the selection fits; also of failed fits and of trial fits."""
 MIN_SCALE_TEST_LENGTHS = 2

@@ -60,7 +60,8 @@ level `FAMILY_WISE_LEVEL`.
 """
 MIN_REFERENCES_PER_WRONG_REFERENCE = 3
 """Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
-reference values with large misclosures are excluded before the search: the others are then a clear majority."""
+reference values with large misclosures are excluded before the search for other causes: the remaining values are a
+clear majority."""
 MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
 """Ratio of the gain of log evidence of a fit with one more hypothesis to the gain expected by a linear approximation,
 below which the fit is repeated from new start values instead of the present state."""
