@@ -26,7 +26,8 @@ class CheckOptions(FunctionOptions):
         float,
         bounded_option(
             "level",
-            "Probability of at least one false alarm in the whole recording, if noise and specification are correct.",
+            "Probability of a false alarm in the whole recording, for the declared noise and a tracker within "
+            "specification.",
         ),
     ] = 0.01
 
@@ -50,7 +51,7 @@ class AdjustOptions(FunctionOptions):
     datum: Annotated[
         str | None,
         name_list_option(
-            "datum", "Targets that define the datum by inner constraints. Default: the selection in the set-up."
+            "datum", "Targets that define the datum by inner constraints. Default: the selection in setup.toml."
         ),
         split_names,
     ] = None
@@ -65,10 +66,10 @@ class CalibrateOptions(FunctionOptions):
         choice_option(
             "method",
             ("network", "distance", "distance-l1", "equation-9", "equation-9-l1"),
-            "Rigorous network adjustment (network); minimum of the paper's distance objective over the "
-            "determined combinations of parameters, by least squares (distance) or least absolute deviations "
-            "(distance-l1); or its minimum over all parameters, which fits undetermined combinations to the "
-            "noise (equation-9, equation-9-l1).",
+            "Rigorous network adjustment (network); or agreement of distances between targets as measured from several "
+            "stations (Sensors 2021, 21, 7479), for the determined combinations of parameters, by least squares "
+            "(distance) or least absolute deviations (distance-l1); or for all parameters, which fits undetermined "
+            "combinations to the noise (equation-9, equation-9-l1).",
         ),
     ] = "network"
     construction: Annotated[
@@ -77,8 +78,8 @@ class CalibrateOptions(FunctionOptions):
             "construction",
             ("misalignment", "dh", "steering-mirror"),
             "Misalignments with the source in the head (misalignment, 16 parameters) or with a steering mirror "
-            "(steering-mirror, 21), or the paper's Denavit-Hartenberg chain (dh, 78); default: the model "
-            "declared in the set-up.",
+            "(steering-mirror, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (dh, 78); default: the "
+            "model declared in setup.toml.",
         ),
     ] = None
     robust: Annotated[bool, typer.Option("--robust", help="Options of adjust, for method network only.")] = False
@@ -114,9 +115,9 @@ class CalibrateOptions(FunctionOptions):
         typer.Option(
             "--prior",
             metavar="FILE|none",
-            help="Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With "
-            "none there is no prior, and the readings alone determine the shrinkage of the correction. For "
-            "method network only.",
+            help="Estimates of earlier calibrations with their covariance, in place of the prior in setup.toml. The "
+            "value none means no prior: the readings alone determine how far the correction is shrunk. For method "
+            "network only.",
         ),
     ] = None
     harmonics: Annotated[
@@ -148,10 +149,10 @@ class CalibrateOptions(FunctionOptions):
         typer.Option(
             "--with",
             metavar="EFFECT[:WHERE,...]",
-            help="Effects of the catalogue that are also estimated, NAME or NAME:WHERE,... with stations, targets, "
-            "and shape parameters such as law=visit in the effect's units; the readings determine those not "
-            "given. Laws have the form that a diagnosis reports, vertical index ~ time:S3. Several can be given. "
-            "For method network only.",
+            help="Physical effects that are also estimated: NAME (from ltsim effects) or NAME:WHERE,... with stations, "
+            "targets, and shape parameters such as law=visit in the effect's units; the readings determine those not "
+            "given. Empirical laws, which describe changes of the readings by functions such as vertical index ~ "
+            "time:S3, are given as a diagnosis reports them. Several can be given. For method network only.",
         ),
         tuple,
     ] = None
