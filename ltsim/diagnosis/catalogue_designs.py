@@ -83,11 +83,11 @@ class EffectDesignGroup:
     row_factors: Floats32
     """Factors (r,) on the r stored observation equations, for an adjustment with other weights of the readings."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual
-    space."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual space
+    (whitened equations projected off the unknowns)."""
     projected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns of each of h effects, projected onto the residual space without
-    effects; zeros before the first screening."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, projected onto the residual space (whitened
+    equations projected off the unknowns) without effects; zeros before the first screening."""
 
     def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects in the group whose products with `n_vectors` vectors fit into memory at the same time."""

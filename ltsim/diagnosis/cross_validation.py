@@ -58,10 +58,13 @@ class HeldOutErrors(NamedTuple):
 def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher | None = None) -> HeldOutErrors:
     """Prediction errors of held-out readings by 5-fold cross-validation.
 
+    The residual space contains the whitened equations, projected off the unknowns.
+
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment; its standard deviations of the readings are the unit of the errors.
+        Whitened equations, projected off the unknowns (residual space), of the adjustment; its standard deviations of
+        the readings are the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional

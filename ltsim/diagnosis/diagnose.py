@@ -188,7 +188,7 @@ def _state_without_blunders(
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
-    """State of the selection before a search, without blunders, and the findings on these blunders.
+    """State of the model selection before a search, without blunders, and the findings on these blunders.
 
     `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
     search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
@@ -233,7 +233,7 @@ def _has_effect_varying_constant(constant_name: str, effects: Sequence[Candidate
 def _search_and_refit(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[SelectionState, EffectModel, Refit]:
-    """State of the selection after the search, the selected model, and the nonlinear refit of this model.
+    """State of the model selection after the search, the selected model, and the nonlinear refit of this model.
 
     If `is_mismatch` is False, no search is needed, and the model has no effects. `compare_with_reference` returns the
     instrument constants that contradict their reference in an adjustment.

@@ -147,7 +147,7 @@ def log_evidence_of_wrong_readings(
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment.
+        Whitened equations of the adjustment, projected off its unknowns (residual space).
     residual : (m,) float
         Whitened residuals of m observation equations, given the effects of a model.
     model_basis : (m, e) float
@@ -267,13 +267,14 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 MAX_AVERAGED_HYPOTHESES = 12
 """Number of the most probable hypotheses over which an estimate is averaged; it limits the computing time."""
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
-"""Number of hypotheses of each kind (catalogue effects, noise hypotheses, empirical laws) whose evidence is computed
-without approximation, to limit the computing time. They are those with the largest approximate log evidence. A
-screening returns the same number of laws for each combination of stations and targets."""
+"""Number of hypotheses of each kind (catalogue effects, hypotheses of other noise than declared, and empirical laws,
+which describe errors as functions of covariates) whose evidence is computed without approximation, to limit the
+computing time. They are those with the largest approximate log evidence. A screening returns the same number of laws
+for each combination of stations and targets."""
 MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
 """Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
 computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
-shape parameters), or a product of an empirical law and a second factor."""
+shape parameters), or a product of an empirical law (error as a function of covariates) and a second factor."""
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
 estimates, but keeps undetermined combinations finite."""
@@ -382,7 +383,7 @@ def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residua
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment.
+        Whitened equations of the adjustment, projected off its unknowns (residual space).
     shift : (m,) float
         Whitened shift of m observation equations by the hypothesis.
     residual, redundancy : (m,) float

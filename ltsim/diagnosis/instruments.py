@@ -38,7 +38,7 @@ from ltsim.solve.design import scale_to_unit_diagonal
 CHANGED_INSTRUMENT_CONSTANT_VARIANCE = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
 INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Name for users of the reference of an instrument constant, by whether the set-up declares it corrected."""
+"""Name, shown to users, of the reference of an instrument constant, by whether the set-up declares it corrected."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
@@ -110,7 +110,7 @@ class InstrumentConstantChange:
     constant_index: int
     """Index of the changed constant among the p constants of an instrument."""
     reference_text: str
-    """Name for users of the reference with which the instrument constant is compared."""
+    """Name, shown to users, of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
     """Possible variances (s values) in addition to the expected variance, in units of the squared specification."""
     log_variance_weights: Floats | float = 0.0
@@ -391,7 +391,7 @@ class ExpectationFromEarlierCalibrations:
         return self.earlier_calibration_prior.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Name for users of the earlier calibrations with which an instrument constant is compared."""
+        """Name, shown to users, of the earlier calibrations with which an instrument constant is compared."""
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return "its calibration"

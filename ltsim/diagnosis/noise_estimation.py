@@ -43,7 +43,7 @@ def reml_gain_function(
 
     The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
     standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
-    deviations of the residual space.
+    deviations of the residual space. The residual space contains the whitened equations, projected off the unknowns.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None

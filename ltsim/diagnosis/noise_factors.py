@@ -22,7 +22,8 @@ memory. The fraction refers to the kinds of observations that the pattern change
 class VariancePatternGroup:
     """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same observation equations.
+    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis says that the
+    noise of some readings differs from the declared noise.
     """
 
     hypothesis_indices: Ints
@@ -98,7 +99,10 @@ hypotheses with this pattern."""
 
 @dataclass(frozen=True)
 class VarianceFactors:
-    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`."""
+    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`.
+
+    A noise hypothesis says that the noise of some readings differs from the declared noise.
+    """
 
     n_hypotheses: int
     """Number h of hypotheses."""

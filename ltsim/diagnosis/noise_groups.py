@@ -44,7 +44,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 
 @dataclass(frozen=True)
 class GroupNoiseHypothesis:
-    """Noise hypothesis with a separate variance factor for each of g groups of readings."""
+    """Noise hypothesis (noise other than declared) with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
     """Effect on the noise level, with one parameter per group of readings."""
@@ -55,7 +55,7 @@ class GroupNoiseHypothesis:
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -73,14 +73,16 @@ class GroupNoiseHypothesis:
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
 
-        `redundancy` (m,) are the redundancy numbers of the m residuals.
+        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis says that the noise of some
+        readings differs from the declared noise.
         """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
         """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a hypothesis that cannot be limited in this way.
+        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis says that the noise
+        of some readings differs from the declared noise.
         """
         del residual, redundancy
         return ()
@@ -123,7 +125,8 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
     def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
         """Noise level of a recording, from the residual space of its adjustment.
 
-        It is below the declared level only if `allows_noise_below_declared`.
+        It is below the declared level only if `allows_noise_below_declared`. The residual space contains the whitened
+        equations, projected off the unknowns.
         """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
@@ -189,7 +192,8 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
     def candidates(cls, space: ResidualSpace) -> tuple[GroupNoiseMixture, ...]:
         """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
 
-        Targets and stations have a common factor for all observables, or a separate factor for each.
+        Targets and stations have a common factor for all observables, or a separate factor for each. The residual space
+        contains the whitened equations, projected off the unknowns.
         """
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
@@ -230,7 +234,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:

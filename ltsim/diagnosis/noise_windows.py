@@ -53,7 +53,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     step_edge_times: Floats
     """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
     residual_space: ResidualSpace
-    """Residual space of the adjustment."""
+    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
     n_tried_places: int = 1
     """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
     noise in the whole network."""
@@ -87,7 +87,7 @@ class NoiseWindows(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -203,7 +203,10 @@ class NoiseWindows(GroupNoiseHypothesis):
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
+        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         space = self.residual_space
         added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[
             space.is_used_reading

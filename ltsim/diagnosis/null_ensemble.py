@@ -42,7 +42,7 @@ class NullEnsemble:
     """
 
     residual_space: ResidualSpace
-    """Residual space of the adjustment, with m observation equations."""
+    """The m whitened observation equations of the adjustment, projected off its unknowns (residual space)."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
     recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
@@ -50,9 +50,11 @@ class NullEnsemble:
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model."""
+    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
+    means: without the part that the unknowns of the adjustment absorb."""
     is_first_screening: bool
-    """True for the first screening of a residual space, whose Gram matrices later screenings with a model use again."""
+    """True for the first screening of a residual space (whitened equations projected off the unknowns), whose Gram
+    matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
@@ -63,7 +65,7 @@ class NullEnsemble:
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Null ensemble of an adjustment without effects, with `n_trials` recordings simulated from `seed`.
 
-        `space` is the residual space of the adjustment.
+        `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
         """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
@@ -113,6 +115,8 @@ class NullEnsemble:
 
     def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
+
+        The residual space contains the whitened equations, projected off the unknowns.
 
         Parameters
         ----------

@@ -56,7 +56,10 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
 
 
 def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
-    """Catalogue effects among the simple causes that are not corrected before the search, the most certain first."""
+    """Catalogue effects among the simple causes that are not corrected before the search, the most certain first.
+
+    Simple causes are, for example, outliers and moved targets.
+    """
     corrected = causes_corrected_before_search(selection)
     changes = (
         c.hypothesis.model_change

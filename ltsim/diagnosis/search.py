@@ -54,9 +54,10 @@ MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
 of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
-"""Number of catalogue effects, and of empirical laws, that a step evaluates exactly in a large network."""
+"""Number of catalogue effects, and of empirical laws (errors as functions of covariates), that a step evaluates exactly
+in a large network."""
 MAX_RANKED_LAWS = 400
-"""Largest number of empirical laws in a ranking of hypotheses."""
+"""Largest number of empirical laws (errors as functions of covariates) in a ranking of hypotheses."""
 MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
 """Ratio of the posterior sigma of a parameter, integrated over shape parameters, to the sigma of the refit (Laplace's
 approximation). Above this ratio the integrated posterior is reported."""
@@ -70,7 +71,8 @@ class ScreeningResult(NamedTuple):
     family_log_evidence: Floats
     """Log evidence (families,) of each catalogue effect, averaged over its variants, with prior."""
     laws: list[ScreenedLaw]
-    """Empirical laws with the largest evidence at each place (stations, targets or instruments)."""
+    """Empirical laws (errors as functions of covariates) with the largest evidence at each place (stations, targets or
+    instruments)."""
     test_statistic: float
     """Test statistic of the global test: log of the summed evidence of all hypotheses."""
     null_test_statistics: Floats

@@ -27,7 +27,7 @@ COVARIATE_TEXTS = {
     "place": "the position in the hall",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Phrases for users in place of the names of covariates that need an explanation."""
+"""Phrases, shown to users, in place of the names of covariates that need an explanation."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
@@ -114,7 +114,7 @@ def law_sentence(
     """Sentences on an empirical law outside the catalogue: changed quantity, regressor, place, size, probability.
 
     `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
-    (observables, place, covariates).
+    (observables, place, covariates). An empirical law describes an error as a function of covariates such as time.
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""

@@ -24,30 +24,36 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched empirical law turns on or off: for a law with a region of
-the hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form
-with steps."""
+"""Smallest number of times within set-ups at which a switched empirical law (error as a function of covariates) turns
+on or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
+effect of the catalogue, or a form with steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched empirical law that acts on one target turns on or off. With one or two
-such times the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times at which a switched empirical law (error as a function of covariates) that acts on one
+target turns on or off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
-"""Largest number of steps and ramps of an empirical law, and of intervals of the covariate whose state is toggled."""
+"""Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
+covariate whose state is toggled."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate that a search toggles after the last increase of the evidence, before it
+"""Number of intervals of the covariate that a diagnosis toggles after the last increase of the evidence, before it
 stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the
-switch. At this limit an empirical law acts on about one pointing in a thousand."""
+"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the switch
+(on or off in intervals of a covariate). At this limit an empirical law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
-    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate."""
+    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate.
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans."""
+    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans. Projected means:
+    without the part that the unknowns of the adjustment absorb."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans."""
+    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans.
+    Projected means: without the part that the unknowns of the adjustment absorb."""
     mean_square_contributions: Floats
     """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
 
@@ -56,7 +62,8 @@ def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> 
     """Number of waves of the same covariate that the search tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
-    of the law multiplied by the number of waves.
+    of the law multiplied by the number of waves. An empirical law describes an error as a function of covariates such
+    as time. A switch is on in some intervals of a covariate, and off in the others.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -76,7 +83,7 @@ def switched_forms(
 
     `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
-    false.
+    false. An empirical law describes an error as a function of covariates such as time.
     """
     sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -106,6 +113,8 @@ def _forms_with_formula_as_second_factor(
     """List of an empirical law with a switch in which a formula replaces the curve in the second factor.
 
     The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
+    An empirical law describes an error as a function of covariates such as time. A switch is on in some intervals of a
+    covariate, and off in the others.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -131,7 +140,7 @@ def _span_gram_and_score(
     """Gram matrix and score of an empirical law with separate coefficients in each span from a step to the next.
 
     `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
-    addition.
+    addition. An empirical law describes an error as a function of covariates such as time.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
@@ -220,7 +229,8 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switched empirical law is on for several targets and off for several targets.
 
-    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
+    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch. An
+    empirical law describes an error as a function of covariates such as time.
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

@@ -27,7 +27,7 @@ CANDIDATE_BEARING_MOTIONS: tuple[tuple[BearingMotionKind, int], ...] = (
     ("radial", 3),
     ("transit", 2),
 )
-"""Bearing motions that a search tries: pairs of a kind of motion and its number of periods per turn."""
+"""Bearing motions that a diagnosis tries: pairs of a kind of motion and its number of periods per turn."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class BearingWobble(Effect):
     Separate by: two faces (odd n), a change of yaw, an electronic level on the head during a turn.
     Validity: orders up to 3, which repeat in every turn. The passage of balls does not repeat; it is noise.
     Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.
-    Validation: validated against the exact rotation of the base and against finite differences of the chain.
+    Validation: validated against the exact rotation of the base and against finite differences of the kinematic chain.
     """
 
     kind: BearingMotionKind = "tilt"

@@ -143,12 +143,12 @@ class Blunder(Effect):
 
     The simulator reproduces the mistake (`measured_sightings`, `recorded_readings`), with the instrument errors and the
     noise of the point that was measured. `design` is the change of an ideal reading. Blunders are corrected before an
-    adjustment, so that a search tries none.
+    adjustment, so that a diagnosis tries none.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Empty list, because a search tries no blunders (see `possible_blunders`)."""
+        """Empty list, because a diagnosis tries no blunders (see `possible_blunders`)."""
         return []
 
     @classmethod

@@ -40,7 +40,7 @@ _PART_DESCRIPTIONS = (
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
-"""Descriptions for users of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
+"""Descriptions, shown to users, of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
 they change the range."""
 
 

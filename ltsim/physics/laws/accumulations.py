@@ -34,31 +34,32 @@ POINTING_DECAY_FUNCTION = "forgets"
 FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the reset of an accumulated quantity after a fixed number of pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of the `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of these quantities in the recording."""
+"""Limits of the `RESET_LIMIT_QUANTITIES` that a diagnosis tries, as quantiles of these quantities in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time. For accumulated quantities
-only the first three are tried, as fractions of the median duration of a set-up. Any time constant between two of
-them differs from one of them by less than a factor of two."""
+"""Time constants of decays that a diagnosis tries, as fractions of the span of the time. For accumulated quantities
+only the first three are tried, as fractions of the median duration of a set-up. Any time constant between two of them
+differs from one of them by less than a factor of two."""
 CANDIDATE_DECAY_POINTINGS = (2.0, 4.0, 8.0)
-"""Decay constants that a search tries for accumulated quantities: numbers of pointings in which they decay by a
+"""Decay constants that a diagnosis tries for accumulated quantities: numbers of pointings in which they decay by a
 factor of e."""
 FIXED_COUNT_RESET_COVARIATES = ("station-time", "count")
-"""Names of the covariates that a search accumulates with a reset after a fixed number of pointings."""
+"""Names of the covariates that a diagnosis accumulates with a reset after a fixed number of pointings."""
 CANDIDATE_POINTINGS_BETWEEN_RESETS = range(3, 31)
-"""Numbers of pointings between two resets of an accumulated quantity that a search tries."""
+"""Numbers of pointings between two resets of an accumulated quantity that a diagnosis tries."""
 CANDIDATE_LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Thresholds of latches that a search tries, as quantiles of the covariate in the recording."""
+"""Thresholds of latches (on above one threshold of a covariate, until below another) that a diagnosis tries, as
+quantiles of the covariate in the recording."""
 MIN_ACCUMULATION_RESETS = 2
-"""Smallest number of pointings with a reset, and smallest number without one, for which a search tries an
-accumulated quantity. The first pointing of a set-up counts as neither. With fewer resets the quantity is nearly a
-plain sum."""
+"""Smallest number of pointings with a reset, and smallest number without one, for which a diagnosis tries an
+accumulated quantity. The first pointing of a set-up counts as neither. With fewer resets the quantity is nearly a plain
+sum."""
 AccumulationKey = tuple[str, str, float]
 """Key of an accumulated quantity: name of the covariate, name of the decay or reset, and its constant (a time
 constant [s], a number of pointings, or a limit)."""
 
 
 def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> list[AccumulationKey]:
-    """Keys of the accumulated quantities that a search tries; `inputs` are the names of the covariates.
+    """Keys of the accumulated quantities that a diagnosis tries; `inputs` are the names of the covariates.
 
     Their values in the pointings are stored in the cache of the sightings.
     """
@@ -139,7 +140,10 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
 
 
 def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
-    """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
+    """Latches that a diagnosis tries, each as a tuple of the covariate, its upper threshold and its lower threshold.
+
+    A latch is on once a covariate exceeds a threshold, and off once it is below a lower one.
+    """
     latches = []
     for name in covariates:
         thresholds = np.unique(np.quantile(sightings.covariate_values[name], CANDIDATE_LATCH_QUANTILES))

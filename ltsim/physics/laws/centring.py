@@ -51,7 +51,7 @@ class CentringVariance(VarianceFunction):
 
     @property
     def regressor_text(self) -> str:
-        """Name for users of the covariate of the displacements: the occupation of the target."""
+        """Name, shown to users, of the covariate of the displacements: the occupation of the target."""
         return "occupation of the target"
 
     @property

@@ -35,15 +35,15 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
-"""Regressor that is +1 in face 1 and -1 in face 2. An elevation error proportional to it is an error of the vertical
-index."""
+"""Regressor (function of covariates) that is +1 in face 1 and -1 in face 2. An elevation error proportional to it is an
+error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a search tries a step or ramp of a law."""
+"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of a law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for whose laws a search tries separate coefficients in each
+"""Parts of the measurement (`Response.changed_part`) for whose laws a diagnosis tries separate coefficients in each
 set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a search tries to turn a law on or off."""
+"""Largest number of values of a covariate at which a diagnosis tries to turn a law on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
 """Largest number of steps and ramps of a law for which a local search tries other positions; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
@@ -53,10 +53,11 @@ FUNCTIONS_WITH_SCALED_CONSTANT = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Names of functions, and kinds of regressors, with a positive constant that a local search multiplies by factors
-from 0.6 to 1.7."""
+"""Names of functions, and kinds of regressors (functions of covariates), with a positive constant that a local search
+multiplies by factors from 0.6 to 1.7."""
 LATCH_THRESHOLD_SHIFT_FRACTIONS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Changes of the thresholds of a latch that a local search tries, as fractions of the span of the covariate."""
+"""Changes of the thresholds of a latch (on above one threshold of a covariate, until below another) that a local search
+tries, as fractions of the span of the covariate."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,8 @@ class EmpiricalLaw(CandidateEffect):
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     length_scale_index: int = 0
-    """Index of the length scale of the regressor's smooth curve, which selects the prior in
-    `Regressor.coefficient_sigmas`."""
+    """Index of the length scale of the smooth curve of the regressor (function of covariates), which selects the prior
+    in `Regressor.coefficient_sigmas`."""
     has_coefficients_per_setup: bool = False
     """True if the law has separate coefficients for each set-up."""
     component_ratio: tuple[float, ...] = ()

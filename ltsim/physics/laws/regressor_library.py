@@ -50,7 +50,8 @@ _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 """Names of the covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Names of covariates with few values, such as the face. A law is proportional to them; no function is tried."""
+"""Names of covariates with few values, such as the face. A law (error as a function of covariates) is proportional to
+them; no function is tried."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Names of the covariates that are the total rotation of an axis since the set-up began."""
 MEMORY_OPERATOR_PREFIXES = ("last", "move", "work")
@@ -87,36 +88,42 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Names of the covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the
-recording. The position of a wall cannot depend on the direction in which a tracker points. The position of a stand
-can, because a head is not balanced exactly."""
+"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, in addition to
+columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
+of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number of targets in a region of the hall above which a search tries a law of these targets."""
+"""Effective number of targets in a region of the hall above which a diagnosis tries a law (error as a function of
+covariates) of these targets."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Axes that limit the regions of laws which depend on the distance of a target from a position."""
+"""Axes that limit the regions of laws (errors as functions of covariates) which depend on the distance of a target from
+a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Axes that limit the regions which may act during a part of the measurement."""
 CANDIDATE_TIME_PART_COUNTS = (2, 4)
-"""Numbers of equal parts into which a search divides the measurement; a region of the hall may act in one part only."""
+"""Numbers of equal parts into which a diagnosis divides the measurement; a region of the hall may act in one part
+only."""
 CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hysteresis loops that a search tries, as fractions of the span of the covariate."""
+"""Half-widths of hysteresis loops that a diagnosis tries, as fractions of the span of the covariate."""
 CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands that a search tries, as quantiles of the motions of an axis between pointings."""
+"""Limits of dead bands that a diagnosis tries, as quantiles of the motions of an axis between pointings."""
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
-"""Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
+"""Time constants [s] of lags that a diagnosis tries, typical of detectors, instrument parts, stands, walls and
+floors."""
 MAX_SEPARATE_AMOUNTS = 12
-"""Largest number of set-ups, instruments or targets with separate values in a law (more would fit any errors), and
-number of times at which a search tries a step."""
+"""Largest number of set-ups, instruments or targets with separate values in a law (error as a function of covariates)
+(more would fit any errors), and number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
-"""Largest number of targets for which a search tries a law with a separate value for each target."""
+"""Largest number of targets for which a diagnosis tries a law (error as a function of covariates) with a separate value
+for each target."""
 WAVE_FREQUENCY_STEP = 0.6
-"""Spacing of the frequencies of the waves that a search tries, in cycles over the span of the covariate."""
+"""Spacing of the frequencies of the waves that a diagnosis tries, in cycles over the span of the covariate."""
 MAX_CANDIDATE_WAVE_CYCLES = 60
-"""Largest number of cycles, over the span of the covariate, of a wave that a search tries."""
+"""Largest number of cycles, over the span of the covariate, of a wave that a diagnosis tries."""
 MIN_POINTINGS_PER_CYCLE = 8
-"""Smallest number of pointings per cycle of a wave that a search tries."""
+"""Smallest number of pointings per cycle of a wave that a diagnosis tries."""
 ODDS_PER_OPERATOR = 1.0 / 3.0
-"""Factor on the prior odds of a regressor for each operator (such as a lag), and for each factor after the first."""
+"""Factor on the prior odds of a regressor (function of covariates) for each operator (such as a lag), and for each
+factor after the first."""
 N_OPERATORS_BY_REGRESSOR_KIND = {
     "constant": 0,
     "sign": 0,
@@ -139,7 +146,8 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Number of operators (such as a lag) plus further factors, by kind of regressor: exponent of `ODDS_PER_OPERATOR`."""
+"""Number of operators (such as a lag) plus further factors, by kind of regressor (function of covariates): exponent of
+`ODDS_PER_OPERATOR`."""
 
 
 def varying_column_names(sightings: Sightings) -> list[str]:
@@ -168,7 +176,7 @@ def is_physically_possible(changed_part: str, regressor: Regressor, sightings: S
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; a smooth curve has `n_modes` eigenfunctions."""
+    """Regressors that a diagnosis tries, by kind; a smooth curve has `n_modes` eigenfunctions."""
     s, columns = sightings, varying_column_names(sightings)
     base = _varying_covariates(s, (*MEMORYLESS_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
@@ -330,7 +338,7 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
-    """Iterator over products of two regressors that a search tries, such as the sign of the face times a curve."""
+    """Iterator over products of two regressors that a diagnosis tries, such as the sign of the face times a curve."""
     extra = varying_column_names(sightings)
     names = _varying_covariates(sightings, (*MEMORYLESS_COVARIATES[:7], *extra, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     trackers = len(np.unique(sightings.instrument))
@@ -392,7 +400,7 @@ def wave_regressors(
 
 
 N_SLOW_WAVE_FREQUENCIES = 18
-"""Number of the lowest frequencies of waves in time that a search tries for motions of targets."""
+"""Number of the lowest frequencies of waves in time that a diagnosis tries for motions of targets."""
 
 
 def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:

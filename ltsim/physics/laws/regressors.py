@@ -137,7 +137,8 @@ class Regressor:
 
         If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
         have their declared coordinates: those at the start of the measurement, or those at which the additional column
-        of the recording is zero. Without such pointings each column has zero mean.
+        of the recording is zero. Without such pointings each column has zero mean. A law describes an error as a
+        function of covariates such as time.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -188,7 +189,10 @@ class Regressor:
         return self._product_columns(sightings, acts_on_targets)
 
     def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
-        """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean."""
+        """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean.
+
+        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one.
+        """
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
         return accumulation_column(sightings, name, self.function, self.constant)

@@ -37,7 +37,10 @@ PLAUSIBLE_MOTION = 30 * MICROMETRE
 
 @dataclass(frozen=True)
 class Response:
-    """Response: quantity of the measurement, such as the vertical index, that an effect or law changes."""
+    """Response: quantity of the measurement, such as the vertical index, that an effect or law changes.
+
+    A law describes an error as a function of covariates such as time.
+    """
 
     name: str
     """Name of the quantity, as in files and sentences."""
@@ -76,7 +79,8 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are instrument constants, by the key (`error_key`) of the error of the kinematic chain."""
+"""Responses (changed quantities) that are instrument constants, by the key (`error_key`) of the error of the kinematic
+chain."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -88,7 +92,8 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses that are eccentricities of the circles, each with the catalogue effect that has the same derivatives."""
+"""Responses (changed quantities) that are eccentricities of the circles, each with the catalogue effect that has the
+same derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -99,7 +104,7 @@ _READING_RESPONSES = tuple(
     )
     for name in OBSERVABLES
 )
-"""Responses that are single observables."""
+"""Responses (changed quantities) that are single observables."""
 _PLAUSIBLE_SIZE_BY_OBSERVABLE = {
     "distance": PLAUSIBLE_LENGTH_ERROR,
     "azimuth": PLAUSIBLE_ANGLE_ERROR,
@@ -120,8 +125,8 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Responses that are pairs or triples of observables, each observable with separate coefficients of the same
-regressor."""
+"""Responses (changed quantities) that are pairs or triples of observables, each observable with separate coefficients
+of the same regressor."""
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
@@ -143,7 +148,8 @@ INSTRUMENT_CONSTANTS_BY_RESPONSE = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": instrument_constants_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
-"""Names of the instrument constants of the ordinary calibration that a law changes, by the name of its response."""
+"""Names of the instrument constants of the ordinary calibration that a law (error as a function of covariates) changes,
+by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
     "position of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
@@ -221,7 +227,10 @@ c components of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
-    """Responses by name, each with the function for the change of the raw readings (see `ResponseDesignFunction`)."""
+    """Responses by name, each with the function for the change of the raw readings (see `ResponseDesignFunction`).
+
+    A response is the quantity that a law changes.
+    """
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
@@ -240,10 +249,10 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
 
 
 RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the derivatives (n, 3, c) of the raw readings of n pointings with
-respect to its c components."""
+"""Responses (changed quantities) by name, each with the function for the derivatives (n, 3, c) of the raw readings of n
+pointings with respect to its c components."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
-"""Names of the responses that need the declared normals of nests."""
+"""Names of the responses (changed quantities) that need the declared normals of nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
@@ -251,7 +260,8 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
 
     Of several responses with the same derivatives only the first is listed: for example, errors of the vertical index
     and of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because
-    it can depend on other regressors than a motion of the targets.
+    it can depend on other regressors than a motion of the targets. A regressor is a function of covariates to which the
+    error is proportional. A response is the quantity that a law changes.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

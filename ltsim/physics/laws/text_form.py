@@ -41,9 +41,10 @@ PHRASE_BY_COVARIATE = {
     "target": "the target",
     "last-target": "the target before",
 }
-"""Phrases for users in place of covariate names that are not clear in a sentence."""
+"""Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) a law may have separate amounts."""
+"""Names of the covariates for whose values (such as stations) a law (error as a function of covariates) may have
+separate amounts."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -102,19 +103,21 @@ which the function is applied."""
 MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in a unit, by unit; a smaller one has a smaller unit (90 s, not 1.5 min)."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
-"""Suffix of the text form of a law with separate coefficients for each set-up."""
+"""Suffix of the text form of a law (error as a function of covariates) with separate coefficients for each set-up."""
 FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
-"""Suffix of the text form of a law whose components have a fixed ratio."""
+"""Suffix of the text form of a law (error as a function of covariates) whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
-"""Suffix of the text form of a regressor with separate coefficients for each instrument."""
+"""Suffix of the text form of a regressor (function of covariates) with separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch, which is on in the intervals `spans` of the covariate `x`."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text form of a switch if the error follows it with a first-order lag."""
+"""Suffix of the text form of a switch (on or off in intervals of a covariate) if the error follows it with a
+first-order lag."""
 SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators between the texts of factors, by the kind of regressor: of a product, or of a sum of steps and ramps."""
+"""Separators between the texts of factors, by the kind of regressor (function of covariates): of a product, or of a sum
+of steps and ramps."""
 REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
@@ -210,7 +213,7 @@ TEXT_FORM_EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of the text form of a regressor, for messages."""
+"""Examples of the text form of a regressor (function of covariates), for messages."""
 _NUMBER_PATTERN = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:e[-+]?\d++)?+"
 _PLACEHOLDER_PATTERNS = {
     "x": "(?P<x>.+)",

@@ -51,7 +51,8 @@ class VarianceFunction(CandidateNoiseEffect):
     separate v, and with `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is
     the length of the line of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1
     if the first covariate is between the first and second limit, the third and fourth, and so on; otherwise it is 0.
-    With a region and a band the pattern is the product of both patterns.
+    With a region and a band the pattern is the product of both patterns. A noise hypothesis says that the noise of some
+    readings differs from the declared noise.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -94,17 +95,17 @@ class VarianceFunction(CandidateNoiseEffect):
 
     @property
     def response_text(self) -> str:
-        """Name for users of what changes: `noise`, or the observable whose error repeated pointings share."""
+        """Name, shown to users, of what changes: `noise`, or the observable whose error repeated pointings share."""
         return self.observables[0] if self.shared_error_repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
-        """Name for users of what the variance depends on: the covariates, or the kind of groups."""
+        """Name, shown to users, of what the variance depends on: the covariates, or the kind of groups."""
         return "station and target" if self.shared_error_repetition else self.group_kind or " ".join(self.covariates)
 
     @property
     def text(self) -> str:
-        """Description for users of the changed noise level."""
+        """Description, shown to users, of the changed noise level."""
         if self.shared_error_repetition:
             again = ", in both faces" if self.shared_error_repetition == REPEATS_IN_BOTH_FACES else ""
             return f"errors of unknown form that recur when a target is measured again{again}"

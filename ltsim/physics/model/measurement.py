@@ -174,7 +174,7 @@ class MeasurementModel:
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of the effect `smr-incidence` by the name of the reflector.
 
-        `parameters` (q, ...) are the values of all q additional parameters.
+        `parameters` (q, ...) are the values of all q parameters of effects and nuisance errors.
         """
         columns = zip(self.incidence_errors, self.incidence_parameter_slices, strict=True)
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
@@ -214,7 +214,7 @@ class MeasurementModel:
 
     @property
     def n_effect_parameters(self) -> int:
-        """Number of parameters of `effects`; they are the first of the q additional parameters."""
+        """Number of parameters of `effects`; they are the first of the q parameters of effects and nuisance errors."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:
@@ -286,8 +286,8 @@ class MeasurementModel:
     ) -> Floats:
         """Change (n, 3) of the readings of n pointings by `linear_effects`.
 
-        They must be the first of `effects_and_nuisance_errors`. `parameters` (q,) are the values of all q additional
-        parameters.
+        They must be the first of `effects_and_nuisance_errors`. `parameters` (q,) are the values of all q parameters of
+        effects and nuisance errors.
         """
         change = np.zeros((len(sightings), 3))
         for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):
