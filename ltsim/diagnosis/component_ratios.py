@@ -25,9 +25,9 @@ def best_component_ratio(
 ) -> tuple[tuple[float, ...], float, float]:
     """Most probable ratio (w,) (unit vector) of the w components of an empirical law, and two logarithms.
 
-    The first is the log evidence at this ratio. The second is the log of the fraction of all ratios that the readings
-    permit. Their sum is the log evidence integrated over all ratios. An empirical law describes an error as a function
-    of covariates such as time. Projected means: without the part that the unknowns of the adjustment absorb.
+    The first logarithm is the log evidence at this ratio. The second is the log of the fraction of all ratios that the
+    readings permit. Their sum is the log evidence integrated over all ratios. An empirical law describes an error as a
+    function of covariates such as time. Projected means: without the part that the unknowns of the adjustment absorb.
 
     Parameters
     ----------

@@ -36,10 +36,11 @@ class HeldOutErrors(NamedTuple):
     rms_without_model: float | None = None
     """Rms error of held-out readings predicted by the ordinary adjustment; None if no reading can be predicted."""
     rms_with_model: float | None = None
-    """Rms error of held-out readings predicted with the effects that were selected without these readings; None without
-    a search, or if no reading can be predicted."""
+    """Rms error of held-out readings predicted with the effects that were selected without these readings; None if no
+    effects are searched for, or if no reading can be predicted."""
     log_score_gain: float = 0.0
-    """Increase of the log score (log density) of the held-out readings by the selected effects; 0 without a search."""
+    """Increase of the log score (log density) of the held-out readings by the selected effects; 0 if no effects are
+    searched for."""
     log_score_gain_sigma: float = 0.0
     """Standard error of `log_score_gain`, from its scatter between the pointings (Vehtari, Gelman and Gabry 2017,
     Statistics and Computing 27, 1413)."""

@@ -188,8 +188,9 @@ def _state_without_blunders(
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
-    """State of the model selection before a search, without blunders, and the findings on these blunders.
+    """State of the model selection before the search for effects, without blunders, and findings on the blunders.
 
+    `construction` is the geometric error model of the instruments, and `seed` the seed of simulated recordings.
     `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
     search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
     the ordinary calibration. `readmitted_mask` (n, 3) flags readings of n pointings that count as blunders but are
@@ -233,10 +234,10 @@ def _has_effect_varying_constant(constant_name: str, effects: Sequence[Candidate
 def _search_and_refit(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[SelectionState, EffectModel, Refit]:
-    """State of the model selection after the search, the selected model, and the nonlinear refit of this model.
+    """State of the model selection after the search for effects, selected model, and nonlinear refit of this model.
 
-    If `is_mismatch` is False, no search is needed, and the model has no effects. `compare_with_reference` returns the
-    instrument constants that contradict their reference in an adjustment.
+    If `is_mismatch` is False, readings and ordinary model agree: no search is needed, and the model has no effects.
+    `compare_with_reference` returns the instrument constants that contradict their reference in an adjustment.
     """
     state, model = (
         select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)

@@ -77,7 +77,7 @@ class Diagnosis(ResultFile):
 
     FILE: ClassVar[str] = "diagnosis.json"
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
-    """Format and version of this file."""
+    """Format and version of the file `diagnosis.json`."""
     verdict: str
     """Verdict on the agreement of the recording with the ordinary model: `consistent` or `mismatch`."""
     summary: str

@@ -131,7 +131,7 @@ class EvidenceCalculator:
         return design_columns
 
     def _batches_with_same_rows(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[AffectedRows, list[int]]]:
-        """Batches of effects that act on the same observation equations, as pairs of these and of effect indices.
+        """Batches of effects that act on the same observation equations: pairs of equations and effect indices.
 
         A batch has at most `MAX_TEMPORARY_ENTRIES` matrix elements.
         """
@@ -202,8 +202,8 @@ class EvidenceCalculator:
     ) -> None:
         """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `designs` and `column_edges` are the results of `_stacked_designs`. Projected means: without the part that the
-        unknowns of the adjustment absorb.
+        `designs` has the columns of all effects side by side, and `column_edges` the index of the first column of each.
+        Projected means: without the part that the unknowns of the adjustment absorb.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:

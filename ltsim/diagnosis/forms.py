@@ -46,7 +46,7 @@ set-up is retained."""
 
 
 def min_log_evidence_for_forms(best_evidence: float) -> float:
-    """Log evidence in the screening, above which an empirical law is evaluated in all functional forms.
+    """Approximate log evidence above which an empirical law is evaluated in all functional forms.
 
     It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
     evidence. An empirical law describes an error as a function of covariates such as time.
@@ -66,9 +66,9 @@ def evaluate_law_forms(
 
     A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
     sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
-    `conditioning_model` are estimated in addition. Steps, ramps and switches are tried if `with_steps_and_switches`. An
-    empirical law describes an error as a function of covariates such as time. A switch is on in some intervals of a
-    covariate, and off in the others.
+    `conditioning_model` are estimated in addition. Steps, ramps and switches (on or off in intervals of a covariate)
+    are tried if `with_steps_and_switches`. An empirical law describes an error as a function of covariates such as
+    time. A switch is on in some intervals of a covariate, and off in the others.
     """
     sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -122,7 +122,7 @@ def evaluate_law_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the hypothesis in `forms` with the largest log evidence."""
+    """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law)."""
     return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
 
@@ -157,9 +157,9 @@ def _functional_forms(
 def _forms_with_ratio(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a form of an empirical law, and possibly of the form with a fixed ratio of its components.
+    """List of `form`, an empirical law, and possibly of this law with a fixed ratio of its components.
 
-    The second form is tried if each component has several coefficients. The effects of `conditioning_model` are
+    The fixed ratio is tried if each component has several coefficients. The effects of `conditioning_model` are
     estimated in addition. An empirical law describes an error as a function of covariates such as time.
     """
     law = form.effect
@@ -184,11 +184,11 @@ def _forms_with_ratio(
 def _forms_at_single_set_ups(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a form of an empirical law at all set-ups, and of the same form at single set-ups.
+    """List of `form`, an empirical law at all set-ups, and of the same law at single set-ups.
 
-    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up. The effects
-    of `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates
-    such as time.
+    If the poses of all set-ups except one absorb the law, the list contains only the law at this set-up. The effects of
+    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
+    as time.
     """
     law, stations = form.effect, calculator.residual_space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
@@ -237,11 +237,12 @@ def _forms_at_single_set_ups(
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of one form of an empirical law as a sum of steps and ramps, which are added while the evidence increases.
+    """List of an empirical law with a sum of steps and ramps, in place of its curve.
 
-    The list is empty for a law without a curve, and for a law of a single target. `log_prior` is the log prior
-    probability of the form. The effects of `conditioning_model` are estimated in addition. An empirical law describes
-    an error as a function of covariates such as time.
+    Steps and ramps are added while the evidence increases. The list is empty for a law without a curve, and for a law
+    that acts on a single target. `log_prior` is the log prior probability of the result. The effects of
+    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
+    as time.
     """
     atoms = law.candidate_steps_and_ramps(calculator.residual_space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it

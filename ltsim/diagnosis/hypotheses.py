@@ -37,7 +37,7 @@ class Hypothesis:
     log_prior: float
     """Log prior probability of the effect at these stations and targets with these shape parameters."""
     log_evidence: float
-    """Log evidence with prior, averaged over similar shape parameters, given the model for which it was computed."""
+    """Log evidence with prior, averaged over similar shape parameters, given the other effects in a model."""
     name: str
     """Name of the effect in the catalogue, or `unknown`."""
 
@@ -117,7 +117,7 @@ class EffectModel:
 
     @cached_property
     def discrepancy_penalty(self) -> float:
-        """Additional log evidence required of a further effect, because the form of an empirical law is imperfect.
+        """Additional log evidence required of a further effect, because the function of an empirical law is imperfect.
 
         It is 0 for a model with catalogue effects only. An empirical law describes an error as a function of covariates
         such as time.
@@ -153,8 +153,7 @@ class EffectModel:
 
 RELATIVE_ERROR_OF_LAW_FORM = 0.05
 """Fraction of the chi-square decrease by an empirical law (error as a function of covariates) that the decrease by a
-further effect must exceed. The form of a law is an approximation, and a second effect could otherwise describe the
-error of this form."""
+further effect must exceed. The function is an approximation, and a second effect could otherwise describe its error."""
 
 
 @dataclass(frozen=True)

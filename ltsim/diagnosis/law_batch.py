@@ -32,8 +32,8 @@ from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
 """Largest number of elements (64 MB) of design columns of regressors (functions of covariates) that stay in memory. The
-limit applies to the columns that several batches share during a screening, and to those of all batches between
-screenings. To compute them again takes a sixth of the time of a screening."""
+limit applies to the columns in use during the approximate evaluation of all laws, and to all columns between two
+evaluations. To compute released columns again takes a sixth of the time of an evaluation."""
 
 
 class ScreenedLaw(NamedTuple):
@@ -107,7 +107,7 @@ class PointingPartition:
 class RegressorColumns:
     """Design columns of regressors (functions of covariates) at all pointings, k columns each, computed on first use.
 
-    Several batches share them. They stay in memory until they are released, or always if `is_cached`.
+    Several batches of laws share the columns, which stay in memory until they are released, or always if `is_cached`.
     """
 
     def __init__(
@@ -176,8 +176,8 @@ class LawBatch:
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses (changed quantities)."""
     regressor_columns: RegressorColumns
-    """Design columns of the regressors (functions of covariates), which batches with the same regressors and cells
-    share."""
+    """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
+    places share."""
     log_prior_by_place: Floats
     """Log prior probability (P,) of a single empirical law (error as a function of covariates) at each of P places
     (stations, targets or instruments)."""
@@ -346,9 +346,10 @@ def indices_of_largest(values: Floats, count: int) -> Ints:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Results of `LawBatch.best_laws_and_log_total_evidence` for all batches, in order.
+    """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
 
-    Columns that several batches share are computed once.
+    An empirical law describes an error as a function of covariates such as time. The null values are the log of the
+    summed evidence in simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

@@ -51,7 +51,7 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
 
 
 def _is_of_time(regressor: Regressor) -> bool:
-    """True for a regressor (function of covariates) that is a function of time, such as a switch.
+    """True for a regressor (function of covariates) that is a function of time, such as a switch (on or off).
 
     A switch is on in some intervals of a covariate, and off in the others.
     """
@@ -63,10 +63,10 @@ def product_forms(
 ) -> list[Hypothesis]:
     """List with the best product of an empirical law of readings and a second factor, after a local search.
 
-    `form` is the law. The list is empty if no product has nearly the evidence of the law. For a switch it also contains
-    other forms of the product. The effects of `conditioning_model` are estimated in addition. An empirical law
-    describes an error as a function of covariates such as time. A switch is on in some intervals of a covariate, and
-    off in the others.
+    `form` is the law. The list is empty if no product has nearly the evidence of the law. For a law that is switched on
+    and off, the list also contains other functions as factors. The effects of `conditioning_model` are estimated in
+    addition. An empirical law describes an error as a function of covariates such as time. A switch is on in some
+    intervals of a covariate, and off in the others.
     """
     law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)

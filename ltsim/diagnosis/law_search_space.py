@@ -201,8 +201,8 @@ class _LawBatchBuilder:
         """Addition of the empirical laws at places of one kind, with all admissible responses and regressors.
 
         A response is a changed quantity, a regressor a function of covariates. `place_kind` is a key of
-        `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses of the kinds `excluded_kinds` are not combined with the constant
-        regressor.
+        `PRIOR_PROBABILITY_BY_PLACE_KIND`. Responses of the kinds `excluded_kinds` are not combined with the regressor
+        that is constant.
         """
         kinds = (
             PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS
@@ -321,11 +321,11 @@ class _LawBatchBuilder:
 
 
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
-    """True if an empirical law with a regressor of this kind may change the quantity `response`.
+    """True if an empirical law with a function of the kind `regressor_kind` may change the quantity `response`.
 
-    It is always true for regressors without a region. A range changes in proportion to the length of the path in the
-    region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`). An empirical law
-    describes an error as a function of covariates such as time.
+    It is always true for functions without a region of the hall. A range changes in proportion to the length of the
+    path in the region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`). An
+    empirical law describes an error as a function of covariates such as time.
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")

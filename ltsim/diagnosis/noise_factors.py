@@ -14,8 +14,8 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
-"""Fraction of nonzero elements above which a pattern of added variance is stored as a dense row, which limits the
-memory. The fraction refers to the kinds of observations that the pattern changes."""
+"""Fraction of nonzero elements above which a pattern (added variance of each reading per unit of a size) is stored as a
+dense row, which limits the memory. The fraction refers to the kinds of observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class VariancePatternGroup:
     """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
 
     Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis says that the
-    noise of some readings differs from the declared noise.
+    noise of some readings differs from the declared noise. A pattern is the added variance of each reading per unit of
+    the size.
     """
 
     hypothesis_indices: Ints
@@ -107,7 +108,8 @@ class VarianceFactors:
     n_hypotheses: int
     """Number h of hypotheses."""
     groups: tuple[VariancePatternGroup, ...]
-    """Groups of patterns of added variance, to one of which each hypothesis belongs."""
+    """Groups of patterns (added variance of each reading per unit of a size), to one of which each hypothesis
+    belongs."""
 
     @classmethod
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:

@@ -34,10 +34,11 @@ NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
 EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped. The product of two likelihood
-ratios is then a finite floating-point number."""
+"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain (quiet or noisy in each step of time) is
+clipped. The product of two likelihood ratios is then a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
+"""Largest number of steps of the Markov chain of states in time (quiet or noisy); in a recording with more pointings a
+step contains several pointings."""
 NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
 NOISY_OBSERVABLE_SET_INDICATORS = np.array(
@@ -48,10 +49,14 @@ NOISY_OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseHypothesis):
-    """Larger noise in time windows; a group of readings is one observable in one step of the Markov chain."""
+    """Larger noise in time windows; a group of readings is one observable in one step of a Markov chain.
+
+    The chain is quiet or noisy in each step of time.
+    """
 
     step_edge_times: Floats
-    """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
+    """Start [s] of each step of the Markov chain (quiet or noisy in each step), and end of the last step, (steps +
+    1,)."""
     residual_space: ResidualSpace
     """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
     n_tried_places: int = 1
@@ -91,7 +96,7 @@ class NoiseWindows(GroupNoiseHypothesis):
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (steps, s, f, trials) of the noisy to the quiet state in each step of the chain.
+        """Log likelihood ratios (steps, s, f, trials) of the noisy to the quiet state in each step of time.
 
         There are s sets of observables and f variance factors. `residual` (m, trials) are m whitened residuals of each
         recording (trial), and `redundancy` (m,) the redundancy numbers.
@@ -106,7 +111,7 @@ class NoiseWindows(GroupNoiseHypothesis):
 
     @property
     def _state_change_probabilities(self) -> Floats:
-        """Probabilities of a change of state from a step of the chain to the next, one per expected number of windows.
+        """Probabilities of a change between quiet and noisy in a step of time, one per expected number of windows.
 
         The expected numbers of noisy windows are `EXPECTED_NOISY_WINDOW_COUNTS`.
         """

@@ -53,8 +53,8 @@ class NullEnsemble:
     """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
     means: without the part that the unknowns of the adjustment absorb."""
     is_first_screening: bool
-    """True for the first screening of a residual space (whitened equations projected off the unknowns), whose Gram
-    matrices later screenings with a model use again."""
+    """True for the first screening (approximate evaluation of all effects) of a residual space (whitened equations
+    projected off the unknowns), whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 

@@ -94,7 +94,8 @@ def adjustment_without_blunders(
     """Adjustment without blunders, flags (n, 3) of the readings of n pointings in it, and findings on blunders.
 
     The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
-    causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
+    causes of the recording. `construction` is the geometric error model of the instruments. `readmitted_mask` (n, 3)
+    flags readings that are used although they count as single errors.
     """
     fit, mistakes = selection.fit, causes_corrected_before_search(selection)
     errors = single_error_mask(fit)

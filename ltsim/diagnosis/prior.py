@@ -68,9 +68,9 @@ PRIOR_WEIGHT_BY_LAW_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 
 are divided by their sum over the forms that are possible for the law. The most probable forms are a curve and a
 formula."""
 P_RARE_LAW_FORM = 0.1
-"""Prior probability of each rarer form of an empirical law (error as a function of covariates): a few steps and ramps;
-a law that is switched on and off; separate coefficients at each set-up; a law at one set-up alone, except for the
-changed parts in `P_SINGLE_SET_UP_BY_CHANGED_PART`."""
+"""Prior probability of each rarer function of an empirical law (error as a function of covariates): a few steps and
+ramps; a law that is switched on and off; separate coefficients at each set-up; a law at one set-up alone, except for
+the changed parts in `P_SINGLE_SET_UP_BY_CHANGED_PART`."""
 P_SINGLE_SET_UP_BY_CHANGED_PART = {"stand": 0.5}
 """Prior probability that an empirical law (error as a function of covariates) acts at only one set-up, by the part of
 the system that it changes. It is large for stands, which differ between set-ups more than instruments do."""

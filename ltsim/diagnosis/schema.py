@@ -57,7 +57,7 @@ class FindingEvidence(Entry):
     parameters: int
     """Number of estimated parameters of the finding."""
     p_value: OptionalFloat = None
-    """p-value of the finding, corrected for the number of hypotheses of the complete search. It follows from n
+    """p-value of the finding, corrected for the number of hypotheses of the complete search. It is the rank among n
     simulated recordings without effects, and is never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this effect against all other explanations."""

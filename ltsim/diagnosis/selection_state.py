@@ -191,7 +191,7 @@ class SelectionState:
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
-        """State of the selection with the residual space of an adjustment without effects, with the present noise.
+        """State of the model selection with the equations of an adjustment without effects, with the present noise.
 
         The residual space contains the whitened equations, projected off the unknowns.
         """
@@ -272,8 +272,8 @@ class SelectionState:
     def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State of the model selection with estimated variance components, but with the present residual space.
 
-        They are estimated as in `with_estimated_noise`, with `effects` in the model. The residual space contains the
-        whitened equations, projected off the unknowns.
+        The components are estimated by REML, with `effects` in the model. The residual space contains the whitened
+        equations, projected off the unknowns.
         """
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):

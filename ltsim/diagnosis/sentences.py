@@ -154,8 +154,8 @@ def _place_suffix(scope: FindingScope) -> str:
 def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the significant instrument constants of all instruments, the most significant first.
 
-    If only a combination of constants is determined, it has the name of its first constant. The value is then an
-    effective value over the angles of the recording.
+    If only a combination of constants is determined, it has the name of its first constant. The value then includes the
+    other constants, which the readings do not separate from the first.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:

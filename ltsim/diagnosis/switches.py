@@ -26,20 +26,21 @@ from ltsim.scene.sightings import Sightings
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
 """Smallest number of times within set-ups at which a switched empirical law (error as a function of covariates) turns
 on or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
-effect of the catalogue, or a form with steps."""
+effect of the catalogue, or a sum of steps."""
 MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of times at which a switched empirical law (error as a function of covariates) that acts on one
 target turns on or off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
-covariate whose state is toggled."""
+covariate in which a law is switched on or off."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate that a diagnosis toggles after the last increase of the evidence, before it
-stops."""
+"""Number of intervals of the covariate in which a search switches a law on or off after the last increase of the
+evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the switch
-(on or off in intervals of a covariate). At this limit an empirical law acts on about one pointing in a thousand."""
+"""Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square without the
+switch (on or off in intervals of a covariate). At this limit an empirical law acts on about one pointing in a
+thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
@@ -79,9 +80,9 @@ def switched_forms(
     *,
     refines_region: bool = True,
 ) -> list[Hypothesis]:
-    """Forms of an empirical law that act only in some spans of its covariate; empty if the law has no such forms.
+    """Copies of an empirical law that act only in some spans of its covariate; empty if the law cannot be switched.
 
-    `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
+    `log_prior` is the log prior probability of a copy. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
     false. An empirical law describes an error as a function of covariates such as time.
     """
@@ -167,8 +168,8 @@ def _span_differences(step_values: Floats) -> Floats:
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
     """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
 
-    The numbers are the log evidence and the number of toggled intervals. Each toggled interval reduces the log evidence
-    by the log of the number of all intervals.
+    The numbers are the log evidence and the number of intervals that were switched on or off one after another. Each of
+    these intervals reduces the log evidence by the log of the number of all intervals.
     """
     count, n_components = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)

@@ -97,9 +97,9 @@ class DenseElimination:
 
 
 class SparseElimination:
-    """Factorised normal equations of a large system, with sparse matrices; parameters as for `DenseElimination`.
+    """Factorised normal equations of a large system, with sparse matrices and the parameters of `DenseElimination`.
 
-    The Schur complement is arranged as a chain of blocks (`solve.chain`) if its structure permits.
+    The columns are K retained ones, then E blocks of three. The Schur complement is a chain of blocks if possible.
     """
 
     def __init__(self, design: sp.csr_array, n_retained: int, damping: float) -> None:
@@ -186,7 +186,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of groups R of linear functions, as `DenseElimination.covariances_of_functions`."""
+        """Covariances R N^-1 R' of groups R of linear functions of the unknowns, with the normal matrix N."""
         function_rows = scale_columns(function_rows, self.column_scales)
         back = sp.csr_array(function_rows[:, self._n_retained :])
         reduced = sp.csr_array(function_rows[:, : self._n_retained] - back @ self._elimination_coefficients.T)

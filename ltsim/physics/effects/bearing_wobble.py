@@ -17,8 +17,7 @@ CHAIN_ERROR_KEYS_BY_BEARING_MOTION = {
     "tilt": ("standing-tilt-x", "standing-tilt-y"),
     "radial": ("standing-radial-x", "standing-radial-y"),
 }
-"""Keys (`error_key`) of the two errors of the kinematic chain that each kind of bearing motion changes: along or
-about x and y."""
+"""Keys of the two errors of the kinematic chain that each kind of bearing motion changes: along or about x and y."""
 CANDIDATE_BEARING_MOTIONS: tuple[tuple[BearingMotionKind, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),
@@ -53,7 +52,8 @@ class BearingWobble(Effect):
     """
 
     kind: BearingMotionKind = "tilt"
-    """Kind of error motion of the bearing (see `BearingMotionKind`)."""
+    """Kind of error motion of the bearing : `tilt` or `radial` (run-out) of the standing axis, or `transit` (tilt of
+    the transit axis)."""
     order: int = 2
     """Number of periods of the error motion per turn of the axis; negative if it rotates against the axis."""
 

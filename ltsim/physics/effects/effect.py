@@ -170,7 +170,7 @@ BasisFunction = Callable[[Floats], Floats]
 
 
 def constant_basis(readings: Floats) -> Floats:
-    """Values (n,) of the constant basis function at n raw readings `readings` (n, 3): 1 for each reading."""
+    """Values (n,) of a constant error per unit of its parameter at n raw readings (n, 3): 1 for each reading."""
     return np.ones(len(readings))
 
 
@@ -186,7 +186,7 @@ class HarmonicBasis:
     """Factor on the angle: number of periods per turn."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3)."""
         angle: Floats = self.order * readings[:, self.reading_column]
         return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
@@ -199,19 +199,19 @@ class RangePowerBasis:
     """Exponent of the range."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3)."""
         return readings[:, 0] ** self.exponent
 
 
 @dataclass(frozen=True)
 class ChainErrorTerm:
-    """Term of a geometric error of the instrument: a parameter times a basis function.
+    """Term of a geometric error of the instrument: a parameter times a basis function of the readings.
 
     The term is added to one of the errors of the kinematic chain.
     """
 
     chain_error_key: str
-    """Key of the error in the kinematic chain (`error_key`), such as `beam-tilt`."""
+    """Key of the error in the kinematic chain, such as `beam-tilt`."""
     basis: BasisFunction = constant_basis
     """Basis function: function of the raw readings by which the parameter is multiplied."""
 
@@ -224,7 +224,7 @@ class ChainErrorEffect(Effect):
     """
 
     terms: ClassVar[tuple[ChainErrorTerm, ...]]
-    """Terms of the geometric error, one per parameter."""
+    """Terms of the geometric error, one per parameter: the parameter times a function of the readings."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)

@@ -17,7 +17,7 @@ change."""
 
 
 def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
-    """Times [s] at which a search tries a sudden change: midpoints between n successive pointings at `times` (n,) [s].
+    """Times [s] at which a diagnosis tries a sudden change: midpoints between n pointings at sorted `times` (n,) [s].
 
     At least `min_pointings` pointings are before and after each change. At most `max_n_times` times are returned,
     spread evenly over the measurement.
@@ -32,7 +32,7 @@ def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: in
 
 
 def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Times at which a search tries a sudden change during the occupation of each station: pairs (station, time [s]).
+    """Times of sudden changes that a diagnosis tries during the occupation of each station: pairs (station, time [s]).
 
     At least `min_pointings` pointings of the station are before and after each change.
     """
@@ -86,7 +86,8 @@ def recording_start_time(sightings: Sightings) -> float:
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
-"""Name of the function of time that a drift follows (see `MotionDrift.law`)."""
+"""Name of the function of time that a drift follows: ``visit`` (linear from the first pointing of each station),
+``linear`` (from the first pointing of the recording) or ``exponential``."""
 
 WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
@@ -116,7 +117,7 @@ class MotionDrift(Effect):
     covariates = ("time",)
     shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
     chain_error_key: ClassVar[str]
-    """Key (`error_key`) of the error of the kinematic chain that drifts, such as `azimuth`."""
+    """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the linear functions of time (``visit`` and ``linear``): rate of the correction."""
     decay_amplitude_parameter: ClassVar[Parameter]

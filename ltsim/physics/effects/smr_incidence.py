@@ -45,7 +45,7 @@ they change the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Parameters of the incidence error: for each part, the sizes at 30 deg of four ramps (see `_ramp_values`)."""
+    """Parameters of the incidence error: for each part, sizes at 30 deg of ramps from 0, 7.5, 15 and 22.5 deg."""
     steps = range(len(INCIDENCE_KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(
@@ -86,8 +86,8 @@ class SmrIncidence(Effect):
     at normal incidence belongs to the range zero, which is determined with the reflector facing the beam. The error at
     normal incidence is therefore subtracted from the table, and a reflector that is turned to the tracker has no error.
 
-    Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
-    good reflector 1.3 um.
+    Size: table of Sensors 2021, 21, 7479: about 3 um in the middle, up to 13 um at the edge of the negative side, no
+    symmetry; a good reflector 1.3 um.
     Similar to: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
     Validity: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its marker in

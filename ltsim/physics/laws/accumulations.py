@@ -34,7 +34,8 @@ POINTING_DECAY_FUNCTION = "forgets"
 FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the reset of an accumulated quantity after a fixed number of pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of the `RESET_LIMIT_QUANTITIES` that a diagnosis tries, as quantiles of these quantities in the recording."""
+"""Limits of pause, azimuth motion and elevation motion at which a diagnosis tries to reset an accumulated quantity, as
+quantiles in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays that a diagnosis tries, as fractions of the span of the time. For accumulated quantities
 only the first three are tried, as fractions of the median duration of a set-up. Any time constant between two of them
@@ -152,7 +153,11 @@ def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> lis
 
 
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
-    """Absolute values (n,) [s or rad] of one of the `RESET_LIMIT_QUANTITIES` in n pointings."""
+    """Absolute values (n,) in n pointings of a time [s] or motion [rad] that resets an accumulated quantity.
+
+    `quantity_name` is the time since the previous pointing (`pause`), or the motion in azimuth (`slew`) or elevation
+    (`tip`).
+    """
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
 

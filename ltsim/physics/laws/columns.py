@@ -121,8 +121,8 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve: one array per length scale.
 
-    `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; it is omitted for
-    an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
+    `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; this array is
+    omitted for an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
     """
     spreads = []
     if is_circular:

@@ -147,7 +147,11 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_declared_coordinates(self, sightings: Sightings) -> Bools:
-        """Mask (n,) of the pointings at which moving targets have their declared coordinates (see `columns`)."""
+        """Mask (n,) of the pointings at which moving targets have their declared coordinates.
+
+        They are the pointings at the start of the measurement, or those at which the additional column of the recording
+        is zero.
+        """
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):

@@ -79,8 +79,8 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses (changed quantities) that are instrument constants, by the key (`error_key`) of the error of the kinematic
-chain."""
+"""Responses (changed quantities) that are instrument constants, by the key of the error of the kinematic chain, such as
+`azimuth`."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -188,7 +188,7 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 def _chain_error_design(sightings: Sightings, error_key: str) -> Floats:
     """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to an error of the kinematic chain.
 
-    `error_key` is the key of the error.
+    `error_key` is the key of the error, such as `azimuth`.
     """
     return sightings.reading_change_by_error_key[error_key][:, :, None]
 
@@ -227,7 +227,7 @@ c components of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
-    """Responses by name, each with the function for the change of the raw readings (see `ResponseDesignFunction`).
+    """Responses by name, each with the function that returns the derivatives of the raw readings by the response.
 
     A response is the quantity that a law changes.
     """

@@ -43,8 +43,7 @@ PHRASE_BY_COVARIATE = {
 }
 """Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) a law (error as a function of covariates) may have
-separate amounts."""
+"""Names of the covariates for whose values (such as stations) an error may have separate amounts."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -111,13 +110,11 @@ PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch, which is on in the intervals `spans` of the covariate `x`."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text form of a switch (on or off in intervals of a covariate) if the error follows it with a
-first-order lag."""
+"""Suffix of the text form of a switch (on, off) if the error follows the switch with a first-order lag."""
 SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators between the texts of factors, by the kind of regressor (function of covariates): of a product, or of a sum
-of steps and ramps."""
+"""Separators between the texts of the parts of a function: of a product, or of a sum of steps and ramps."""
 REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
@@ -145,7 +142,7 @@ def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
-    """Text form of a regressor, such as ``exp(-time / 8 min)``; without a clock, times count rows of the recording."""
+    """Text form of a function of covariates, such as ``exp(-time / 8 min)``; without a clock, times count rows."""
     if regressor.has_curve_per_instrument:
         return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
@@ -187,7 +184,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text that follows the regressor in the text form of a law: coefficients per set-up, ratio of components."""
+    """Text after the function in the text form of an error law: coefficients per set-up, ratio of components."""
     values = " / ".join(f"{r:.4g}" for r in law.component_ratio)
     ratio = FIXED_RATIO_SUFFIX.format(values=values) if values else ""
     return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
@@ -286,7 +283,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODES) -> Regressor:
-    """Regressor from its text form, such as ``exp(-time / 8 min)``; a smooth curve has `n_modes` eigenfunctions.
+    """Function of covariates from its text, such as ``exp(-time / 8 min)``; a curve has `n_modes` eigenfunctions.
 
     Raises ModelError for a text that is no regressor of the recording.
     """
@@ -348,7 +345,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODE
 
 
 def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Switch from its text form and the `match` of this text; raises ModelError for unordered or invalid values."""
+    """Switch (on, off) from its text form and the `match` of the text; raises ModelError for unordered values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
     is_covariate = name in {*BUILTIN_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
@@ -370,7 +367,7 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
 
 
 def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Latch from its text form and the `match` of this text; raises ModelError for unordered or invalid thresholds."""
+    """Latch (on above one threshold, off below another) from its text form; raises ModelError for bad thresholds."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)

@@ -68,7 +68,8 @@ class VarianceFunction(CandidateNoiseEffect):
     decreases_with_covariate: bool = False
     """True if the noise decreases as the covariate increases."""
     shared_error_repetition: str = ""
-    """Kind of repeated pointings with the same error (see `REPETITION_KINDS`); empty for independent errors."""
+    """Kind of repeated pointings with the same error: `in each face` or `in both faces`; empty for independent
+    errors."""
     group_kind: str = ""
     """Kind of the groups with separate noise: `target`, `station` or `reading`; empty if the noise is common to all."""
     group_names: tuple[str, ...] = ()

@@ -51,7 +51,7 @@ class GeometricErrorModel:
     parameters: tuple[Parameter, ...]
     """The p error parameters of the instrument, with priors."""
     terms: tuple[ChainErrorTerm, ...]
-    """Terms, one per parameter: the error of the kinematic chain that the parameter changes, and its basis function."""
+    """Terms, one per parameter: error of the kinematic chain that the parameter changes, and error per unit of it."""
 
     @property
     def n_parameters(self) -> int:
@@ -93,7 +93,7 @@ class GeometricErrorModel:
         return tuple(chain), tuple(error_keys)
 
     def basis_values(self, readings: Floats) -> Floats:
-        """Values (n, p) of the basis functions of p parameters at n raw readings (n, 3)."""
+        """Values (n, p) of the basis functions (errors per unit of p parameters) at n raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(readings)
@@ -101,11 +101,11 @@ class GeometricErrorModel:
 
     @cached_property
     def _reading_dependent_terms(self) -> list[tuple[int, ChainErrorTerm]]:
-        """Indices and terms of those parameters whose basis function depends on the readings."""
+        """Indices and terms of the parameters whose basis function (error per unit) depends on the readings."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
     def chain_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors [m, rad] of the kinematic chain by key, each (n,) or one number, at n raw readings (n, 3).
+        """Errors [m, rad] of the chain by key (such as `beam-tilt`), each (n,) or a number, at n raw readings (n, 3).
 
         `parameter_values` (p,), or (n, p) with separate values for each reading, are in SI units.
         """
@@ -117,7 +117,7 @@ class GeometricErrorModel:
         return errors
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) of the kinematic chain by key, from values (n, p) of the basis functions of p parameters."""
+        """Errors (n,) of the chain by key (such as `beam-tilt`), from errors (n, p) per unit of p parameters."""
         errors: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
             key = term.chain_error_key
@@ -132,8 +132,8 @@ class GeometricErrorModel:
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Points (n, 3) [m] in the instrument frame, and derivatives by readings (n, 3, 3) and parameters (n, 3, p).
 
-        The derivatives by the n raw readings neglect that the basis functions depend on the readings, a relative error
-        of 1e-5.
+        The derivatives by the n raw readings neglect that the errors of the chain depend on the readings, a relative
+        error of 1e-5.
         """
         (chain, reading_error_keys), bases = self._chain_with_reading_errors, self.basis_values(readings)
         error_keys = {term.chain_error_key for term in self.terms} | set(reading_error_keys)
@@ -202,8 +202,8 @@ UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Display unit and prior standard deviation [SI] of a parameter, by the quantity of the specification that limits
-it."""
+"""Display unit and prior standard deviation [SI] of a parameter, by the quantity for which the specification limits the
+parameter."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Suffixes of the names of the coefficients in the error function of an axis: constant, sines and cosines."""
 DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
@@ -247,8 +247,8 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
 
     Notes
     -----
-    Sine and cosine coefficients replace the paper's amplitude and phase, because the phase is undefined at zero
-    amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
+    Sine and cosine coefficients replace amplitude and phase of Sensors 2021, 21, 7479, because the phase is undefined
+    at zero amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
@@ -358,7 +358,7 @@ def construction_with_dh_orders(name: str, max_order: int, degree: int) -> Geome
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Geometric error model by name; ``dh`` with the lowest orders that include all `parameters` (names)."""
+    """Geometric error model by name; ``dh`` with the lowest orders of its series that include all `parameters`."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
