@@ -119,10 +119,7 @@ class InstrumentConstantChange:
 
 @dataclass(frozen=True)
 class ExpectedInstrumentConstants:
-    """Expected values of the p constants of I instruments, in units of the manufacturer's specifications.
-
-    Possible changes of the constants are included.
-    """
+    """Expected p constants of I instruments, divided by the manufacturer's specifications, and changes to be tested."""
 
     mean: Floats
     """Expected values (I p,) of the p constants of I instruments, divided by the manufacturer's specifications."""

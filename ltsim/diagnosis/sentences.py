@@ -164,7 +164,7 @@ def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]
         for combination in entry.determined:
             name, weight = next(iter(combination.combination.items()))
             sigma = (combination.sigma or 0.0) / abs(weight)
-            used = ", effective over the angles used,"
+            used = ", with the constants that the readings do not separate from it,"
             entries.append((name, used, combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
         for name, used, value, sigma, unit in entries:

@@ -37,8 +37,8 @@ INCIDENCE_ERROR_PARTS = ("even", "cos", "sin")
 and `sin` (its sine)."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
-    "to the horizontal side, opposite on the other",
-    "to the upper side, opposite below",
+    "for beams from one horizontal side, of opposite sign from the other",
+    "for beams from above, of opposite sign from below",
 )
 """Descriptions, shown to users, of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
 they change the range."""

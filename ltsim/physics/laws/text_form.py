@@ -245,7 +245,7 @@ def parse_law(
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(
-            f"there is no response called '{response_name}'; responses are {', '.join(RESPONSE_AND_DESIGN_BY_NAME)}"
+            f"no quantity is called '{response_name}'; expected one of {', '.join(RESPONSE_AND_DESIGN_BY_NAME)}"
         )
     ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
@@ -333,12 +333,12 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODE
             unit_covariate = UNIT_COVARIATE_BY_FUNCTION.get(how, UNIT_COVARIATE_BY_FUNCTION.get(kind, name))
             k = _parse_constant(text, unit_covariate, groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
-                raise ModelError(f"'{text}' has an invalid constant; expected a number above zero")
+                raise ModelError(f"'{text}' has an invalid constant; expected a constant above zero")
         along = COORDINATE_COVARIATES if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{text}' is not a regressor of this recording; expected a text such as "
+        f"'{text}' is not a function of covariates of this recording; expected a text such as "
         f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of the covariates "
         f"{', '.join(covariates)}"
     )
@@ -360,7 +360,7 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
             scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
-        raise ModelError(f"'{law_text}' is not a switch; expected increasing times")
+        raise ModelError(f"'{law_text}' is not a switch; expected values in increasing order")
     if match["value"]:
         lag = _parse_constant(law_text, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
     return replace(switch_regressor(edges), constant=lag)

@@ -90,7 +90,7 @@ class VarianceFunction(CandidateNoiseEffect):
         kinds = [f"-{name}" for name in self.observables] if self.has_variance_per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
-            Parameter(n, "", "added variance where the pattern is 1, divided by the declared variance", 3.0)
+            Parameter(n, "", "added variance where the noise is largest, divided by the declared variance", 3.0)
             for n in names or ["added-variance"]
         )
 

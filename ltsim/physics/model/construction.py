@@ -265,7 +265,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
         unspecified = unit, unphysical_sigma * size * scale
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
-        parameters.append(Parameter(name, unit, f"coefficient {name} of the D-H chain", sigma, quantity))
+        parameters.append(Parameter(name, unit, f"coefficient {name} of the Denavit-Hartenberg chain", sigma, quantity))
         terms.append(ChainErrorTerm(key, basis))
     return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 

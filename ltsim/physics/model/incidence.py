@@ -55,7 +55,7 @@ class IncidenceErrors(LinearEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """The k independent errors as parameters, each with a prior standard deviation of one."""
         return (
-            Parameter("incidence-error", "", "range error of a reflector as a function of incidence", 1.0),
+            Parameter("incidence-error", "", "range error of a reflector as a function of the angle of incidence", 1.0),
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
