@@ -61,9 +61,10 @@ def assemble_diagnosis(
 
     `recording_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
     `test_findings` are findings that need no search, such as blunders. `final_adjustment` is the adjustment with the
-    selected model, or without it if the former did not converge. `held_out_errors` are prediction errors of held-out
-    readings. `cause_selection` has the simple causes that the adjustment identified before the search for effects, None
-    without them. `is_mismatch` is True if the global test rejects the agreement of readings and model.
+    selected model, or without this model if the adjustment with it did not converge. `held_out_errors` are prediction
+    errors of held-out readings. `cause_selection` has the simple causes that the adjustment identified before the
+    search for effects, None without them. `is_mismatch` is True if the global test rejects the agreement of readings
+    and model.
     """
     state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment

@@ -145,13 +145,14 @@ class CatalogueDesigns:
     """
 
     effects: list[CandidateEffect]
-    """All h variants of catalogue effects that change at least one reading of the recording."""
+    """All h variants (places, shape parameters) of catalogue effects that change at least one reading of the
+    recording."""
     groups: list[EffectDesignGroup]
     """Groups of effects with the same number of parameters and the same form of storage (sparse or dense)."""
     family_names: tuple[str, ...]
-    """Names of the catalogue effects, one for each family (all variants of the effect)."""
+    """Names of the catalogue effects, one for each family (all places and shape parameters of the effect)."""
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants (places, shape parameters) belongs."""
     n_equations: int
     """Number m of observation equations."""
     reading_sigmas: Floats
@@ -159,13 +160,13 @@ class CatalogueDesigns:
 
     @cached_property
     def log_prior_by_family(self) -> Floats:
-        """Log prior probability (families,) of each catalogue effect, summed over all its variants."""
+        """Log prior probability (families,) of each catalogue effect, summed over its places and shapes."""
         return log_prior_by_base_rate("named", self.family_names)
 
     def log_prior_of_family(self, family_name: str) -> float:
-        """Log prior probability of the catalogue effect named `family_name`, summed over all its variants.
+        """Log prior probability of the catalogue effect named `family_name`, summed over its places and shapes.
 
-        It is defined also for effects that the search does not try, such as wrong readings in a large recording.
+        It is defined also for effects that are not tried, such as wrong readings in a large recording.
         """
         names = self.family_names if family_name in self.family_names else (*self.family_names, family_name)
         return float(log_prior_by_base_rate("named", names)[names.index(family_name)])
@@ -321,10 +322,9 @@ class FamilyEvidenceSums:
     """
 
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants (places, shape parameters) belongs."""
     log_sums: Floats
-    """Log (families, trials) of the summed evidence of the added variants, by effect and simulated recording
-    (trial)."""
+    """Log (families, trials) of the evidence summed over the added places and shapes of each effect, per simulation."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
@@ -342,7 +342,7 @@ class FamilyEvidenceSums:
 
     @property
     def log_mean_evidence_over_variants(self) -> Floats:
-        """Log (families, trials) of the mean evidence of the variants of each effect in each simulation (trial)."""
+        """Log (families, trials) of the mean evidence of each effect over its places and shapes, per simulation."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 

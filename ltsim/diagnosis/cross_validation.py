@@ -118,7 +118,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
-    """Change (m,) of m whitened observations by the effects that a search selects; 0 for other observations."""
+    """Change (m,) of m whitened observations by the effects that `searcher` selects; 0 for others."""
     model = searcher.select_effects(requires_effect=True)
     if not model.hypotheses:
         return np.zeros(space.n_equations)

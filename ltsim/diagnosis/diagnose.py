@@ -312,8 +312,8 @@ def _has_specific_noise_hypothesis(selected_noise_hypotheses: Sequence[NoiseHypo
 def _held_out_errors(state: SelectionState, model: EffectModel, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` has no
-    effects, it equals the error without a model.
+    The error with a model is computed only if `repeats_search`, by a search for effects without each fold. If `model`
+    has no effects, both errors are equal.
     """
     nominal = state.recording.reading_sigmas()
     space, seed = state.searcher.residual_space, state.seed

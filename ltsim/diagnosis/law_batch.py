@@ -88,7 +88,7 @@ class PointingPartition:
         """Batches of pointings for temporary arrays with `n_entries_per_pointing` elements per pointing.
 
         Each batch is a tuple: its slice of `pointing_order`, the indices of its pointings, and for each of its cells
-        the index of the cell and its slice in the batch.
+        (pointings of the same places) the index of the cell and its slice in the batch.
         """
         for part in batches(len(self.pointing_order), n_entries_per_pointing):
             first, last = np.searchsorted(self.cell_edges, [part.start, part.stop - 1], side="right") - 1
@@ -124,9 +124,10 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings sorted by cell.
+        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings.
 
-        A regressor is a function of covariates to which the error is proportional.
+        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
+        (stations, targets or instruments).
         """
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
@@ -141,9 +142,10 @@ class RegressorColumns:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Floats32:
-        """Columns (n, d k) of d regressors with k columns each, for n pointings in the order of the cells.
+        """Columns (n, d k) of d regressors with k columns each, for n pointings.
 
-        A regressor is a function of covariates to which the error is proportional.
+        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
+        (stations, targets or instruments).
         """
         n_columns = regressors[0].n_columns
         columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)

@@ -32,7 +32,7 @@ SECOND_FACTOR_COVARIATES = ("distance", "elevation", "height")
 addition (second factor)."""
 SECOND_FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which an empirical law (error as a function of covariates) may be confined,
-given by the bounded axes."""
+given by the axes along which a region is bounded."""
 MAX_COEFFICIENTS_WITH_SECOND_FACTOR = 2
 """Largest number of coefficients of an empirical law (error as a function of covariates) for which a second factor is
 tried; a wave has two."""

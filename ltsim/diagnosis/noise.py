@@ -314,7 +314,7 @@ class NoiseHypothesisSet:
         return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable changes of the noise with a fixed pattern and one size, and log evidence over all sizes."""
+        """Most probable changes of the noise by one size, in fixed ratios between readings, and their log evidence."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.family_names])
         prior -= np.log(np.bincount(self.family_indices))

@@ -30,12 +30,14 @@ class VariancePatternGroup:
     hypothesis_indices: Ints
     """Indices (h,) of the h hypotheses of the group."""
     pattern_indices: Ints
-    """Index (h,) of the pattern of each of h hypotheses, in ascending order."""
+    """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
+    hypotheses."""
     sizes: Floats32
     """Size (h,) of each of h hypotheses; the variance factor of an observation is 1 plus the size times its added
     variance."""
     row_indices: Ints | slice
-    """Indices (r,) of the r observation equations of dense patterns; all of them for sparse patterns."""
+    """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
+    size); all equations for sparse patterns."""
     added_variance: Floats32 | sp.csr_array
     """Added variance (p, r) of r observations by p patterns per unit of the size, divided by the declared variance."""
 
@@ -115,8 +117,8 @@ class VarianceFactors:
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of added variance of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of each of the m observations. Dense patterns are stored for all
-        observations of the kinds that they change.
+        `observation_kinds` (m,) is the kind of each of the m observations. A pattern is the added variance of each
+        observation per unit of a size. Dense patterns are stored for all observations of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Floats32]] = []
@@ -173,7 +175,8 @@ class VarianceFactors:
 
 
 FirstIndexAndSizes = tuple[int, tuple[float, ...]]
-"""Index of the first hypothesis of a pattern of added variance, and the sizes of its hypotheses."""
+"""Index of the first hypothesis of a pattern (added variance of each reading per unit of a size), and the sizes of its
+hypotheses."""
 
 
 def _pattern_group(
@@ -181,7 +184,8 @@ def _pattern_group(
 ) -> VariancePatternGroup:
     """Group of patterns of added variance with their hypotheses, on the observation equations `row_indices`.
 
-    `pattern_hypotheses` has the index of the first hypothesis and the sizes of each pattern.
+    A pattern is the added variance of each reading per unit of a size. `pattern_hypotheses` has the index of the first
+    hypothesis and the sizes of each pattern.
     """
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
     pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
@@ -192,7 +196,8 @@ def _pattern_group(
 def _sparse_pattern_matrix(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
     """Sparse matrix (p, n_rows) of p patterns on `n_rows` observations, from its nonzero elements.
 
-    `row_entries` are the indices and the values of the nonzero elements of each pattern.
+    A pattern is the added variance of each observation per unit of a size. `row_entries` are the indices and the values
+    of the nonzero elements of each pattern.
     """
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))

@@ -40,7 +40,8 @@ MAX_CHAIN_STEPS = 200
 """Largest number of steps of the Markov chain of states in time (quiet or noisy); in a recording with more pointings a
 step contains several pointings."""
 NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
-"""Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
+"""Shapes of the regions of the hall in which noise may be larger for a time, given by the axes along which a region is
+bounded."""
 NOISY_OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )

@@ -48,7 +48,8 @@ class NullEnsemble:
     recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
     by u further simulated residuals."""
     n_trials: int
-    """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
+    """Number t of simulated recordings that give the p-value of a search for effects; 0 for a search without
+    p-value."""
     model_basis: Floats
     """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
     means: without the part that the unknowns of the adjustment absorb."""

@@ -56,7 +56,7 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
 
 
 def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
-    """Catalogue effects among the simple causes that are not corrected before the search, the most certain first.
+    """Catalogue effects among simple causes that are not corrected before other effects are sought, by certainty.
 
     Simple causes are, for example, outliers and moved targets.
     """
@@ -130,5 +130,5 @@ def axes_point_findings(final_adjustment: Adjustment, declared_recording: Record
 
 
 def _corrected_before_search(finding: Finding) -> Finding:
-    """Copy of a finding that is marked as corrected before the search."""
+    """Copy of a finding that is marked as corrected before the search for effects."""
     return finding.model_copy(update={"is_corrected_before_search": True})

@@ -326,7 +326,7 @@ class Searcher:
         return self._pruned_and_renamed_model(best_model)
 
     def model_by_forward_steps(self, rival_log_evidence: float) -> EffectModel:
-        """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
+        """Model from forward steps alone, whose log evidence is a lower bound of that of a search with backward steps.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, that of an alternative, or could not exceed it
         even if all further effects gained as much evidence as the last effect.

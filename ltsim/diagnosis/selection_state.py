@@ -42,12 +42,12 @@ class SelectionState:
     seed: int
     """Seed of the random draws of simulated recordings."""
     false_alarm_rate: float | None
-    """False-alarm rate of the search; None for a search without p-value."""
+    """False-alarm rate of the search for effects; None for a search without p-value."""
     tests_ordinary_constants: bool
     """True if changes of the instrument constants of the ordinary calibration are also hypotheses."""
     effects_of_uncorrected_causes: tuple[CandidateEffect, ...]
     """Catalogue effects among the simple causes (such as outliers or moved targets) of the network, from which a second
-    search starts if the noise is larger than declared."""
+    search for effects starts if the noise is larger than declared."""
     reading_sigmas: Floats
     """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses
     (noise other than declared)."""
@@ -87,10 +87,10 @@ class SelectionState:
 
     @cached_property
     def searcher(self) -> Searcher:
-        """Search in the residual space (whitened equations projected off the unknowns) of the present adjustment.
+        """Search for effects in the residuals of the present adjustment.
 
-        It uses the design matrices of an earlier search, with other weights, if the observation equations are the same.
-        Only the first search of a recording has a p-value.
+        The search uses the design matrices of an earlier search, with other weights, if the observation equations are
+        the same. Only the first search of a recording has a p-value.
         """
         earlier = self.earlier_catalogue_designs
         is_reusable = earlier is not None and earlier.n_equations == self.residual_space.n_equations

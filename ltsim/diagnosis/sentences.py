@@ -111,7 +111,7 @@ def catalogue_effect_sentence(
 def law_sentence(
     scope: FindingScope, parameters: Sequence[ParameterEstimate], p_same_scope: float, law_text: str
 ) -> str:
-    """Sentences on an empirical law outside the catalogue: changed quantity, regressor, place, size, probability.
+    """Sentences on an empirical law outside the catalogue: changed quantity, function, place, size, probability.
 
     `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
     (observables, place, covariates). An empirical law describes an error as a function of covariates such as time.

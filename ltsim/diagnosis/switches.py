@@ -34,8 +34,8 @@ MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
 covariate in which a law is switched on or off."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate in which a search switches a law on or off after the last increase of the
-evidence, before the search stops."""
+"""Number of intervals of the covariate in which a stepwise search switches an error on or off after the last increase
+of the evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
 """Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square without the
@@ -50,17 +50,17 @@ class SpanGramAndScore(NamedTuple):
     """
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans. Projected means:
-    without the part that the unknowns of the adjustment absorb."""
+    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans (intervals) of a
+    covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans.
-    Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans
+    (intervals) of a covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
     mean_square_contributions: Floats
     """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of waves of the same covariate that the search tried, if an empirical law has a wave; otherwise 1.
+    """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
     of the law multiplied by the number of waves. An empirical law describes an error as a function of covariates such
@@ -138,10 +138,10 @@ def _span_gram_and_score(
     step_regressors: Sequence[Regressor],
     conditioning_model: EffectModel,
 ) -> SpanGramAndScore:
-    """Gram matrix and score of an empirical law with separate coefficients in each span from a step to the next.
+    """Gram matrix and score of an empirical law with separate coefficients in each interval of its covariate.
 
-    `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
-    addition. An empirical law describes an error as a function of covariates such as time.
+    The intervals extend from each of the steps `step_regressors` to the next. The effects of `conditioning_model` are
+    estimated in addition. An empirical law describes an error as a function of covariates such as time.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]

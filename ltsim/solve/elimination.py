@@ -346,7 +346,7 @@ class FactorisedNormals:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped change (K + 3 E,) of the unknowns that fits whitened residuals (m,); default those of the system."""
+        """Damped change (K + 3 E,) of the unknowns that fits whitened residuals (m,); None for those of the system."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.multiply_by_covariance(right_side[:, None])[:, 0]
 

@@ -34,9 +34,9 @@ def shared_errors_sentence(sigma_text: str) -> str:
 
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
-    """Noise hypothesis of centring errors: a random displacement of the reflector at each occupation of a target.
+    """Noise hypothesis of centring errors: a random displacement of the reflector at each placement on a target.
 
-    All pointings of an occupation have the same displacement, so that the variance of single readings does not change.
+    All pointings of a placement have the same displacement, so that the variance of single readings does not change.
     The adjustment estimates the displacements as unknowns. Their prior standard deviation is the parameter of the
     hypothesis.
     """

@@ -91,7 +91,7 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
 columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
 of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number of targets in a region of the hall above which a diagnosis tries an error of the region."""
+"""Number of targets, with weights, in a region of the hall above which a diagnosis tries an error of the region."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Axes that limit the regions of errors that depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
@@ -238,7 +238,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
-    """True if the effective number of targets in a region exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
+    """True if the number of targets, weighted in a region, exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
     return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 

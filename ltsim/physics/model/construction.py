@@ -190,7 +190,7 @@ class GeometricErrorModel:
 def misalignment_construction(
     effects: Iterable[ChainErrorEffect] = ORDINARY_CALIBRATION_EFFECTS,
 ) -> GeometricErrorModel:
-    """Geometric error model of a tracker with the laser source in the head; by default with all 16 misalignments."""
+    """Geometric error model of a tracker with the laser source in the head; usually with all 16 misalignments."""
     effects = tuple(effects)
     parameters, terms = (tuple(p for e in effects for p in e.parameters), tuple(t for e in effects for t in e.terms))
     return GeometricErrorModel("misalignment", kinematics.MISALIGNMENT_CHAIN, parameters, terms)
@@ -331,7 +331,7 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
     "steering-mirror": steering_mirror_construction,
     "ideal": ideal_construction,
 }
-"""Functions that create a geometric error model with its default orders, by the name of the model."""
+"""Functions that create a geometric error model with its usual orders of series, by the name of the model."""
 
 
 def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
