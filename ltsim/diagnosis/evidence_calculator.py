@@ -36,9 +36,9 @@ class AffectedRows(NamedTuple):
 
 
 class EvidenceCalculator:
-    """Calculator of Gram matrices, scores and log evidence of effects in the residual space of one adjustment.
+    """Calculator of Gram matrices, scores (products with residuals) and log evidence of effects in one adjustment.
 
-    The residual space contains the whitened equations, projected off the unknowns.
+    The design columns and the residuals are projected off the unknowns of the adjustment.
     """
 
     def __init__(self, space: ResidualSpace) -> None:

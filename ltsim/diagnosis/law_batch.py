@@ -184,7 +184,8 @@ class LawBatch:
     """Log prior probability (P,) of a single empirical law (error as a function of covariates) at each of P places
     (stations, targets or instruments)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
-    """Eigen decompositions of scaled Gram matrices, by the first index of their range of regressors."""
+    """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
+    regressors (functions of covariates)."""
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:

@@ -53,10 +53,10 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
-"""Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
-groups of targets and regions of the hall."""
+"""Fraction of the largest log evidence of another noise, above which larger noise in intervals of time is also tried at
+single stations, groups of targets and regions of the hall."""
 N_FINE_GRID_NOISE_SIZES = 48
-"""Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
+"""Number of sizes of the changed noise on the fine grid over which the evidence of the best hypotheses is averaged."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -81,7 +81,7 @@ class NoiseHypothesisSet:
     """
 
     hypotheses: list[NoiseHypothesis]
-    """Hypotheses (h of them) with one size for all affected readings."""
+    """Changed noise levels, h of them, each with one size (factor or added variance) for all affected readings."""
     family_names: tuple[str, ...]
     """Names of the families (kinds of changed noise level) of these hypotheses."""
     family_indices: Ints
@@ -130,7 +130,7 @@ class NoiseHypothesisSet:
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), with independent readings.
+        """Log likelihood ratios (h, trials) of h noise levels for each recording (trial), with independent readings.
 
         `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
         numbers.
@@ -180,9 +180,9 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of `family_names` from log likelihood ratios (h, trials).
+        """Log evidence (kinds of noise, trials), with priors, from the log likelihood `ratio` (h, trials).
 
-        The ratios are those of h hypotheses for each recording (trial).
+        The ratios are those of h changed noise levels for each recording (trial).
         """
         share = np.array([self.log_prior_of_family(family) for family in self.family_names])
         return log_mean_exp_by_group(ratio, self.family_indices, len(self.family_names)) + share[:, None]

@@ -28,13 +28,13 @@ class VariancePatternGroup:
     """
 
     hypothesis_indices: Ints
-    """Indices (h,) of the h hypotheses of the group."""
+    """Indices (h,) of the h noise hypotheses (changed noise levels) of the group."""
     pattern_indices: Ints
     """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
     hypotheses."""
     sizes: Floats32
-    """Size (h,) of each of h hypotheses; the variance factor of an observation is 1 plus the size times its added
-    variance."""
+    """Size (h,) of each of h noise hypotheses (changed noise levels); the variance factor of an observation is 1 plus
+    the size times its added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
     size); all equations for sparse patterns."""
@@ -42,7 +42,7 @@ class VariancePatternGroup:
     """Added variance (p, r) of r observations by p patterns per unit of the size, divided by the declared variance."""
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
-        """Iterator over batches: indices (b,) of b hypotheses, and log likelihood ratios (b, trials) by recording.
+        """Iterator over batches: indices (b,) of b noise levels, and log likelihood ratios (b, trials) by recording.
 
         The log likelihood ratio is half the sum over observations of (1 - 1/s) r^2 - k log s, with the variance factors
         s, residuals r and redundancy numbers k.
@@ -62,7 +62,7 @@ class VariancePatternGroup:
             yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the r observations whose noise a hypothesis changes, and logs (r,) of its variance factors.
+        """Indices (r,) of the r observations with changed noise by a hypothesis, and logs (r,) of variance factors.
 
         `member_index` is the index of the hypothesis in this group.
         """
@@ -108,7 +108,7 @@ class VarianceFactors:
     """
 
     n_hypotheses: int
-    """Number h of hypotheses."""
+    """Number h of noise hypotheses (changed noise levels)."""
     groups: tuple[VariancePatternGroup, ...]
     """Groups of patterns (added variance of each reading per unit of a size), to one of which each hypothesis
     belongs."""
@@ -155,7 +155,7 @@ class VarianceFactors:
         return cls(n_hypotheses, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of all h hypotheses for each recording (trial).
+        """Log likelihood ratios (h, trials) of all h changed noise levels for each recording (trial).
 
         `squares` (m, trials) are squares of m whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """

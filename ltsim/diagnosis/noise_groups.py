@@ -143,8 +143,8 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of a changed noise level for each recording (trial), from m residuals (m, trials).
 
-        A common factor of each of `NOISY_OBSERVABLE_SETS`, and separate factors of some observables, have equal prior
-        probabilities.
+        A common factor of each set of observables in `NOISY_OBSERVABLE_SETS`, and separate factors of some observables,
+        have equal prior probabilities.
         """
         alternatives = self._log_evidence_of_alternatives(residual, redundancy)
         return log_sum_exp(alternatives) - np.log(len(alternatives))
@@ -246,7 +246,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
         return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
 
     def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (q, trials) for each recording (trial) and each of the q values of `NOISY_GROUP_FRACTIONS`."""
+        """Log evidence (q, trials) for each recording (trial) and each of q fractions of noisy groups."""
         each = self.log_evidence_by_group(residual, redundancy)
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 

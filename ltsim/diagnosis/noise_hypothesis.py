@@ -20,7 +20,8 @@ class NoiseHypothesis:
     effect: CandidateNoiseEffect
     """Effect that changes the noise level."""
     sizes: tuple[float, ...]
-    """Values [SI] of the parameters of the effect."""
+    """Values [SI] of the parameters of the effect on the noise, such as added variances divided by the declared
+    variance."""
     size_sigmas: tuple[float, ...] = ()
     """Standard deviations of estimated sizes [SI]; empty if the sizes are values of a grid that are tried."""
     chi2_drop: float = 0.0

@@ -168,7 +168,7 @@ class NoiseWindows(GroupNoiseHypothesis):
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Effect on the noise with the observables and time windows of the most probable sequence of states.
+        """Effect on the noise with observables and time windows of the most probable sequence of states (noisy, quiet).
 
         The sequence is computed by Viterbi's algorithm.
         """
@@ -227,17 +227,18 @@ class NoiseWindows(GroupNoiseHypothesis):
     def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
         """Times [s] at which the noise becomes larger and smaller, alternately.
 
-        `states` (steps,) flag the noisy steps of the chain.
+        `states` (steps,) flag the steps of time with larger noise.
         """
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.step_edge_times[edges].tolist())
 
 
 def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
-    """Index of the Markov chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
+    """Index of the most probable of c Markov chains, and flags (steps,) of its steps of time with larger noise.
 
     At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
-    quiet state in c chains. `change_probability` is the probability of a change of state from a step to the next.
+    quiet state of the readings in c chains. `change_probability` is the probability of a change of state from a step to
+    the next.
     """
     score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
     for ratio in log_likelihood_ratios:

@@ -103,13 +103,14 @@ class NullEnsemble:
         return row_of_reading
 
     def vectors_of_pointings(self, pointings: Ints) -> Floats32:
-        """Elements (p, 3, v) of the v probe vectors for the readings of p pointings; undefined for unused readings."""
+        """Elements (p, 3, v) of v vectors (residuals, simulations, basis) for p pointings; undefined if unused."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
         """Products of k columns with residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of k design columns with all v probe vectors.
+        They are the parts of `scores` (..., k, v), the products of k design columns with all v vectors of the ensemble
+        side by side.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
@@ -122,7 +123,8 @@ class NullEnsemble:
         Parameters
         ----------
         scores : (..., k, v) float
-            Products of the columns with all v vectors, without effects in the model.
+            Products of the columns with the v vectors of the ensemble (residuals, simulated residuals, basis), without
+            effects in the model.
         unprojected_gram : (..., k, k) float
             Products of the columns with each other, without projection.
         """

@@ -175,8 +175,8 @@ class Misfit(Entry):
     """Degrees of freedom of the adjustment."""
     held_out_rms: OptionalFloat = None
     """Root mean square prediction error of held-out readings, divided by the larger of the declared and the estimated
-    noise. The readings of each of five folds of pointings are predicted by a search and an adjustment without the fold.
-    """
+    noise. The readings of each of five folds of pointings are predicted by a diagnosis and an adjustment without the
+    fold."""
 
 
 class MisfitBeforeAfter(Entry):

@@ -79,7 +79,7 @@ class DenseElimination:
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows."""
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks of three unknowns; leverages (m,)."""
         block_indices = np.arange(self._n_retained, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
@@ -118,7 +118,7 @@ class SparseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the Cholesky factorisations of the eliminated blocks and of the Schur complement."""
+        """Smallest pivot of the Cholesky factorisations of eliminated blocks (unknowns) and of the Schur complement."""
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
@@ -149,14 +149,14 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain that contains a column of a set; sets of `columns` are along `axis`."""
+        """Index of the first block of the Schur complement's chain with a column of a set; sets are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows.
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks of three unknowns, and leverages (m,).
 
         Rows with entries in the same eliminated block are processed together, because all columns that this block
         couples are in one `InverseSubmatrix`. Rows without entries in eliminated blocks are processed singly.

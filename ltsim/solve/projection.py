@@ -202,7 +202,7 @@ class FactorResidualProjector:
             yield np.linalg.eigh(hat)
 
     def _hat_matrix_blocks(self, row_groups: Sequence[Ints]) -> Iterator[Floats]:
-        """Submatrices (f, f) of the hat matrix, including the `removed_columns`, for each group of f row indices.
+        """Submatrices (f, f) of the hat matrix, with the part of `removed_columns`, for each group of f rows.
 
         The cost depends on the number of unknowns in these rows, not on the number of all unknowns.
         """

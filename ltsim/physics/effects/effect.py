@@ -166,7 +166,8 @@ class Blunder(Effect):
 
 
 BasisFunction = Callable[[Floats], Floats]
-"""Function from n raw readings (n, 3) to n values (n,). A geometric error is such a function times its parameter."""
+"""Function from n raw readings (n, 3) (range [m], azimuth and elevation [rad]) to n values (n,). A geometric error is
+such a function times its parameter."""
 
 
 def constant_basis(readings: Floats) -> Floats:
@@ -186,7 +187,10 @@ class HarmonicBasis:
     """Factor on the angle: number of periods per turn."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3).
+
+        The columns of the readings are range [m], azimuth and elevation [rad].
+        """
         angle: Floats = self.order * readings[:, self.reading_column]
         return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
@@ -199,7 +203,10 @@ class RangePowerBasis:
     """Exponent of the range."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3).
+
+        The columns of the readings are range [m], azimuth and elevation [rad].
+        """
         return readings[:, 0] ** self.exponent
 
 

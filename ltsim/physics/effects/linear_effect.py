@@ -34,7 +34,7 @@ class Parameter:
     unit: str
     """Display unit, a key of `units.SI_PER_UNIT`; all computations use SI units."""
     description: str
-    """Description for users, such as `delay of the range`."""
+    """Description, shown to users, such as `delay of the range`."""
     prior_sigma: float
     """Prior standard deviation [SI] if the specification of the instrument states none. A diagnosis uses it as
     plausible size of the parameter."""
@@ -92,7 +92,7 @@ class ShapeParameter:
     unit: str
     """Display unit, a key of `units.SI_PER_UNIT`."""
     description: str
-    """Description for users, such as `width of the transition`."""
+    """Description, shown to users, such as `width of the transition`."""
     lower_bound: float
     """Smallest value [SI] that a diagnosis tries."""
     upper_bound: float

@@ -323,7 +323,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
-        """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a path."""
+        """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a length."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]

@@ -290,7 +290,7 @@ class Regressor:
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor in which the field has its origin at the mean position of `targets`."""
+        """Copy of the regressor with the mean position of `targets` as origin of its polynomial of the position."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, field_or_amount_targets=targets) if f.kind == "field" else f for f in self.factors)

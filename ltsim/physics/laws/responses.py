@@ -207,7 +207,7 @@ def _nest_normal_design(sightings: Sightings) -> Floats:
 def _reflector_vertex_design(sightings: Sightings) -> Floats:
     """Derivatives (n, 3, 3) of the raw readings of n pointings by displacements of reflector vertices on three axes.
 
-    `reflector_axes` returns the axes: axial, side, up.
+    The axes are the normal of the open face, the horizontal to the right (seen from the front), and up.
     """
     return design_from_displacements(sightings, reflector_axes(sightings))
 

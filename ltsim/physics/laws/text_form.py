@@ -88,8 +88,8 @@ REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Templates of the text form of a regressor by kind, function and constant (None: any). `x` is a covariate, `k` the
-constant, `value` the constant or a period with its unit."""
+"""Templates of the text form of a regressor by kind, function and constant (None stands for all). `x` is a covariate,
+`k` the constant, `value` the constant or a period with its unit."""
 UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
     "fades": "time",

@@ -82,7 +82,7 @@ class GeometricErrorModel:
 
     @cached_property
     def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
-        """Kinematic chain with an additional error in each motion that is a reading, and keys of the three errors."""
+        """Kinematic chain with an additional error in each motion that is a reading, and names of the three errors."""
         zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.motion_amount_function for m in self.kinematic_chain]
         for column in range(3):
@@ -373,7 +373,7 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Geometr
 
 @cache
 def all_instrument_parameter_names() -> frozenset[str]:
-    """Names of the parameters of all geometric error models, with the highest orders of `dh`."""
+    """Names of the parameters of all geometric error models, with all coefficients of the Denavit-Hartenberg model."""
     constructions = (
         misalignment_construction(),
         steering_mirror_construction(),

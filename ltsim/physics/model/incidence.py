@@ -80,7 +80,7 @@ class IncidenceErrors(LinearEffect):
         )
 
     def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by the mean function and by k independent errors (k,)."""
+        """Change (n, 3) of the readings of n pointings by the incidence error: mean plus k independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )

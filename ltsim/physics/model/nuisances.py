@@ -110,7 +110,7 @@ class CentringErrors(TargetDisplacement):
         ) * (3 * self.n_occupations)
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Derivatives (n, 3, q) of the reflector's displacement in n pointings with respect to the q components."""
+        """Derivatives (n, 3, q) of the reflector's displacement in n pointings by q components of displacements."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         occupied_rows = np.flatnonzero(self.occupation_indices >= 0)
         displacements[occupied_rows, :, self.occupation_indices[occupied_rows]] = np.eye(3)
