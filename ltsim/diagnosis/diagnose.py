@@ -277,7 +277,7 @@ def _contradicting_constants_unexplained_by_model(
 def _refit_and_prune(state: SelectionState, model: EffectModel) -> tuple[EffectModel, Refit]:
     """Model without the effects that its nonlinear refit does not support, and the refit of this model.
 
-    The search is linear. The second-order part of a large effect can therefore look like a further effect.
+    The search for effects is linear. The second-order part of a large effect can therefore look like a further effect.
     """
     refit = state.refit(model.effects, state.reading_sigmas)
     while len(model.hypotheses) > 1:

@@ -38,7 +38,8 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor (function of the coordinates) for a group of targets that moves and tilts as a rigid body."""
+"""Regressor (function of covariates) (function of the coordinates) for a group of targets that moves and tilts as a
+rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
 """Difference of log evidence up to which an empirical law (error as a function of covariates) at all set-ups counts as
 equivalent to the law at one set-up. The poses of the other set-ups then absorb the law, and only the law at the one
@@ -68,7 +69,7 @@ def evaluate_law_forms(
     sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
     `conditioning_model` are estimated in addition. Steps, ramps and switches (on or off in intervals of a covariate)
     are tried if `with_steps_and_switches`. An empirical law describes an error as a function of covariates such as
-    time. A switch is on in some intervals of a covariate, and off in the others.
+    time.
     """
     sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -122,7 +123,10 @@ def evaluate_law_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law)."""
+    """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law).
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
     return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
 

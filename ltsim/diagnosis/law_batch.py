@@ -164,8 +164,8 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses with c components each) that the empirical laws (errors as functions of covariates)
-    change."""
+    """Quantities (C responses (changed quantities) with c components each) that the empirical laws (errors as functions
+    of covariates) change."""
     regressors: tuple[Regressor, ...]
     """Functions of covariates (D regressors with k columns each) that the empirical laws (errors as functions of
     covariates) follow."""

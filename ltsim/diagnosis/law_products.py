@@ -51,7 +51,7 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
 
 
 def _is_of_time(regressor: Regressor) -> bool:
-    """True for a regressor (function of covariates) that is a function of time, such as a switch (on or off).
+    """True for a regressor (function of covariates) that is a function of time, such as a switch.
 
     A switch is on in some intervals of a covariate, and off in the others.
     """
@@ -65,8 +65,7 @@ def product_forms(
 
     `form` is the law. The list is empty if no product has nearly the evidence of the law. For a law that is switched on
     and off, the list also contains other functions as factors. The effects of `conditioning_model` are estimated in
-    addition. An empirical law describes an error as a function of covariates such as time. A switch is on in some
-    intervals of a covariate, and off in the others.
+    addition. An empirical law describes an error as a function of covariates such as time.
     """
     law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)

@@ -83,7 +83,7 @@ class NoiseHypothesisSet:
     hypotheses: list[NoiseHypothesis]
     """Changed noise levels, h of them, each with one size (factor or added variance) for all affected readings."""
     family_names: tuple[str, ...]
-    """Names of the families (kinds of changed noise level) of these hypotheses."""
+    """Names of the families (kinds of changed noise level) in `hypotheses`."""
     family_indices: Ints
     """Index (h,) of the family (kind of changed noise level) of each of h hypotheses."""
     variance_factors: VarianceFactors
@@ -188,7 +188,7 @@ class NoiseHypothesisSet:
         return log_mean_exp_by_group(ratio, self.family_indices, len(self.family_names)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
-        """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
+        """Log restricted likelihood ratio of the noise with the index `hypothesis_index`, without approximation.
 
         `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
         are the basis of the changes by these effects.
@@ -218,7 +218,7 @@ class NoiseHypothesisSet:
     def _excess_over_diagonal_form(
         self, hypothesis_index: int, diagonal_log_ratio: float, residual: Floats, model_basis: Floats
     ) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus its approximation `diagonal_log_ratio`.
+        """Log restricted likelihood ratio of a changed noise minus its approximation `diagonal_log_ratio`.
 
         The approximation treats the readings as independent. In a large network the result is 0.
         """
@@ -264,7 +264,7 @@ class NoiseHypothesisSet:
     def ranked_noise_hypotheses(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence (with prior) and most probable hypothesis of each kind, by decreasing evidence.
+        """Pairs of log evidence (with prior) and most probable changed noise of each kind, by decreasing evidence.
 
         The m residuals `residual` (m,), redundancy numbers `redundancy` (m,) and the basis `model_basis` (m, e) of e
         dimensions are given the effects of a model.
@@ -288,7 +288,7 @@ class NoiseHypothesisSet:
         return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_variance_factors(self) -> Floats:
-        """Posterior mean (n, 3) of variance factors of the readings of n pointings, over all hypotheses and no change.
+        """Posterior mean (n, 3) of variance factors of the readings of n pointings, over all changes of the noise.
 
         The mean is the estimate t of a variance s with the smallest expectation of s/t - 1 - log(s/t) (Stein).
         """
@@ -360,7 +360,7 @@ class NoiseHypothesisSet:
     def _group_noise_log_evidence_of_residuals(
         self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> float:
-        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording.
+        """Log evidence, with prior, of the changed noise `change` with a size for each group, for one recording.
 
         For the noise level of a small network, the difference of the exact restricted likelihood from its diagonal form
         is added, at the expected factors. The factors of other hypotheses are averages over noisy and other groups, at

@@ -30,7 +30,8 @@ from ltsim.scene.regions import candidate_regions
 NOISY_WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in noisy time windows, over which the evidence is averaged."""
 NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
-"""Factors on the variance in noisy time windows, in steps of 15 %, over which its posterior mean is computed."""
+"""Factors on the variance in noisy time windows, in steps of 15 %, over which the posterior mean of the factor is
+computed."""
 EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))

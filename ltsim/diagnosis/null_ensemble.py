@@ -64,7 +64,7 @@ class NullEnsemble:
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
-        """Null ensemble of an adjustment without effects, with `n_trials` recordings simulated from `seed`.
+        """Ensemble for an adjustment without effects, with `n_trials` recordings simulated from `seed`.
 
         `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
         """
@@ -81,7 +81,7 @@ class NullEnsemble:
         return cls(space, vectors, n_trials, empty_basis, is_first_screening=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Null ensemble for residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
+        """Ensemble for the residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
 
         The e orthonormal vectors of the basis span the changes by the effects. The ensemble has no simulated
         recordings, because the Gram matrices and null values of the adjustment without effects are used again.

@@ -41,10 +41,10 @@ may be the result of an effect."""
 def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
-    `selection` has the simple causes of the recording. Those that are corrected are blunders in rows of the recording,
-    and reference values that contradict the readings. Shifts of readings are included only if any shift is gross,
-    because a search that is linear in the effects cannot explain a gross shift. Then all shifts are included, because
-    each was tested given the others. Changed noise levels are not included.
+    `selection` has the simple causes (such as outliers) of the recording. Those that are corrected are blunders in rows
+    of the recording, and reference values that contradict the readings. Shifts of readings are included only if any
+    shift is gross, because the search for effects, which is linear in their sizes, cannot explain a gross shift. Then
+    all shifts are included, because each was tested given the others. Changed noise levels are not included.
     """
     fit, chosen = selection.fit, [c.hypothesis for c in selection.selected_hypotheses if c.is_certain]
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]

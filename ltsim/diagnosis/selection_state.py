@@ -191,10 +191,7 @@ class SelectionState:
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
-        """State of the model selection with the equations of an adjustment without effects, with the present noise.
-
-        The residual space contains the whitened equations, projected off the unknowns.
-        """
+        """State of the model selection with the equations of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
         return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 

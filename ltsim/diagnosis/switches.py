@@ -38,9 +38,8 @@ N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
 of the evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square without the
-switch (on or off in intervals of a covariate). At this limit an empirical law acts on about one pointing in a
-thousand."""
+"""Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square if it is
+always on. At this limit an empirical law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
@@ -56,7 +55,8 @@ class SpanGramAndScore(NamedTuple):
     """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans
     (intervals) of a covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
     mean_square_contributions: Floats
-    """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
+    """Contribution (S,) of each of S spans (intervals of a covariate) to the mean square of the regressor (function of
+    the covariate)."""
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
@@ -111,7 +111,7 @@ def switched_forms(
 def _forms_with_formula_as_second_factor(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of an empirical law with a switch in which a formula replaces the curve in the second factor.
+    """List of an empirical law with a switch in which a formula replaces the curve in the other factor of the law.
 
     The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
     An empirical law describes an error as a function of covariates such as time. A switch is on in some intervals of a
@@ -213,7 +213,8 @@ def _cumulative_sums(step_values: Floats) -> Floats:
 def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb.
 
-    `edge_regressors` are the steps at the edges.
+    `edge_regressors` are the steps at the edges, and `law` is the law (error as a function of covariates) with the
+    switch.
     """
     least = (
         MIN_TARGET_SWITCH_EDGES

@@ -56,7 +56,7 @@ class SmrCentring(Effect):
     may_recur = True
     parameters = (
         Parameter("vertex-axial", "um", "displacement of the vertex outwards, along the axis", 15 * MICROMETRE),
-        Parameter("vertex-side", "um", "displacement of the vertex horizontally to the right, seen from the front", 15 * MICROMETRE),
+        Parameter("vertex-side", "um", "displacement of the vertex to the right, seen from the front", 15 * MICROMETRE),
         Parameter("vertex-up", "um", "displacement of the vertex upwards", 15 * MICROMETRE),
     )
 

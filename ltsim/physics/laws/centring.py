@@ -56,7 +56,7 @@ class CentringVariance(VarianceFunction):
 
     @property
     def text(self) -> str:
-        """Description of the centring errors, for users."""
+        """Description, shown to users, of the centring errors."""
         return f"reflectors that are centred anew {RECENTRING_PHRASE_BY_OCCUPATION_GROUPING[self.occupation_grouping]}"
 
     def sentence(self, sigma_text: str) -> str:

@@ -40,7 +40,8 @@ LENGTH_SCALES_BY_N_CURVE_MODES = {
 """Length scales of a smooth curve (of the kernel of its Gaussian process), by the number of its eigenfunctions. They
 are fractions of half the range of the covariate, or radians for an angle on a full circle."""
 MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
-"""Prefixes of the names of covariates that depend on earlier pointings, such as `move-azimuth`."""
+"""Prefixes of the names of covariates that depend on earlier pointings, such as `move-azimuth` (motion since the
+previous pointing)."""
 FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),

@@ -38,14 +38,14 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor (function of covariates) with +1 in face 1, -1 in face 2. An elevation error proportional to this regressor
 is an error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of an empirical law."""
+"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of an error law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for whose laws a diagnosis tries separate coefficients in each
+"""Parts of the measurement (`Response.changed_part`) for whose errors a diagnosis tries separate coefficients in each
 set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a diagnosis tries to turn a law on or off."""
+"""Largest number of values of a covariate at which a diagnosis tries to turn an error on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps of a law for which a local search tries other positions; each costs time."""
+"""Largest number of steps and ramps of an error law for which a local search tries other positions; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
 number of gaps between two steps (a few pointings do not determine the size of a step)."""
@@ -61,7 +61,7 @@ LATCH_THRESHOLD_SHIFT_FRACTIONS = np.array([-0.06, -0.02, 0.02, 0.06])
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a change of one quantity of the measurement (the response) as a function of a regressor."""
+    """Empirical law: a change of one quantity of the measurement (the response) as a function of covariates."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -90,7 +90,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with priors: one per component of the response and column of the regressor (and per set-up)."""
+        """Coefficients with priors, one per component of the changed quantity and column of the function."""
         spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
         n, unit = self.n_setup_components, self.response.display_unit
         spreads = spread * np.sqrt(n) if self.component_ratio else np.tile(spread, n)
@@ -141,7 +141,7 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Values (n, k) of the regressor's k functions in n pointings, zero at places where the law does not act.
+        """Values (n, k) of the k functions of covariates in n pointings, zero at places where the law does not act.
 
         If S set-ups have separate coefficients and no fixed `component_ratio`, the shape is (n, S k).
         """
@@ -394,7 +394,7 @@ class EmpiricalLaw(CandidateEffect):
 
 
 def _candidate_lags(steps: Regressor) -> list[float]:
-    """Lags [s] that a local search tries for a switch in time in place of its lag; empty for other regressors."""
+    """Lags [s] that a local search tries for a switch in time in place of its lag; empty for other functions."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
     return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(CANDIDATE_LAG_TIME_CONSTANTS)

@@ -12,7 +12,8 @@ from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest neighbours with which a target forms a group for which a diagnosis tries a law."""
+"""Numbers of nearest neighbours with which a target forms a group for which a diagnosis tries a law (error as a
+function of covariates)."""
 MIN_GROUP_TARGETS = 3
 """Smallest number of targets in a group, and outside the group, for which a diagnosis tries a law (error as a function
 of covariates) of the group. A law with a separate value for each set-up is tried only with more set-ups than this

@@ -87,15 +87,15 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, in addition to
+"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, besides
 columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
 of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Number of targets, with weights, in a region of the hall above which a diagnosis tries an error of the region."""
+"""Effective number (sum w)^2 / sum(w^2) of targets with weights w, above which errors of a region are tried."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Axes that limit the regions of errors that depend on the distance of a target from a position."""
+"""Axes along which regions are bounded, for errors that depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
-"""Axes that limit the regions which may act during a part of the measurement."""
+"""Axes along which regions are bounded that may act during a part of the measurement."""
 CANDIDATE_TIME_PART_COUNTS = (2, 4)
 """Numbers of equal parts of the duration of a recording; a region of the hall may act in one part only."""
 CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
@@ -105,8 +105,8 @@ CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a diagnosis tries, typical of detectors, instruments, stands, walls and floors."""
 MAX_SEPARATE_AMOUNTS = 12
-"""Largest number of set-ups, instruments or targets with separate values in an error law (more would fit any errors),
-and largest number of times at which a diagnosis tries a step."""
+"""Largest number of set-ups, instruments or targets with separate values in an error law (error as a function of
+covariates) (more would fit any errors), and largest number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
 """Largest number of targets for which a diagnosis tries errors with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
@@ -238,7 +238,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
-    """True if the number of targets, weighted in a region, exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
+    """True if the effective number of targets in a region exceeds `MIN_EFFECTIVE_TARGETS_IN_REGION`."""
     return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS_IN_REGION
 
 

@@ -118,15 +118,15 @@ class Regressor:
     """Constant of the function, for the kinds `simple`, `wave`, `cycle`, `state` and `latch`. Time constant [s] of a
     lag, also of a switch (0 for no lag).
 
-    For other kinds it is a number: of eigenfunctions of a curve, of amounts, or of pieces; for a field it is the order
-    of the polynomial.
+    For other kinds it is a number: of eigenfunctions of a curve, of separate values, or of steps and ramps; for a field
+    it is the order of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
     """Regressors of which this one consists: the factors of a product, the steps and ramps of a sum, or the steps of
     a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
-    """Names of targets: those whose mean position is the origin of a field, or those with separate amounts; empty
-    for all."""
+    """Names of targets: those whose mean position is the origin of a polynomial of the position (`field`), or those
+    with separate values; empty for all."""
     region: HallRegion | None = None
     """Region of the hall of a `passage` or `near` regressor; None for other kinds."""
     release_threshold: float = 0.0
@@ -195,7 +195,8 @@ class Regressor:
     def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
         """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean.
 
-        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one.
+        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one. An accumulated
+        quantity is the sum of the changes of a covariate over the pointings.
         """
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
@@ -205,8 +206,8 @@ class Regressor:
         """Values (n,) in n pointings of a regressor that depends on a `region` of the hall.
 
         For the kind `passage` they are the length [m] of the line of sight in the region, with the function
-        `DEFLECTION_FUNCTION` weighted by the lever of a deflection. For the kind `near` they are the weight of the
-        region at the target.
+        `DEFLECTION_FUNCTION` weighted by the lever (fraction of the line beyond a point). For the kind `near` they are
+        the weight of the region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)

@@ -47,7 +47,8 @@ class Response:
     display_unit: str
     """Display unit of a change of the quantity."""
     plausible_size: float
-    """Plausible size [SI] of a change of the quantity; the prior standard deviation of the coefficients of a law."""
+    """Plausible size [SI] of a change of the quantity; the prior standard deviation of the coefficients of a law (error
+    as a function of covariates)."""
     observables: tuple[str, ...] = ()
     """Names of the observables that the quantity changes most; empty if they depend on positions of stations and
     targets."""
@@ -126,7 +127,7 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
     for names in combinations(OBSERVABLES, count)
 )
 """Responses (changed quantities) that are pairs or triples of observables, each observable with separate coefficients
-of the same regressor."""
+of the same regressor (function of covariates)."""
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
@@ -149,7 +150,7 @@ INSTRUMENT_CONSTANTS_BY_RESPONSE = (
     | {"distance": instrument_constants_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
 """Names of the instrument constants of the ordinary calibration that a law (error as a function of covariates) changes,
-by the name of its response."""
+by the name of its response (changed quantity)."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
     "position of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
@@ -222,14 +223,14 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the
-c components of a response."""
+"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the c
+components of a response (changed quantity)."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     """Responses by name, each with the function that returns the derivatives of the raw readings by the response.
 
-    A response is the quantity that a law changes.
+    A response is the quantity that a law changes. A law describes an error as a function of covariates such as time.
     """
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),

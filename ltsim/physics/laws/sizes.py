@@ -69,7 +69,7 @@ def displayed_sizes(
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
     """Size of one component of the response in its display unit, from value and variance of its coefficient.
 
-    A response is the quantity that a law changes.
+    A response is the quantity that a law changes. A law describes an error as a function of covariates such as time.
     """
     unit, factor = law.response.display_unit_and_factor_on_coefficient(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

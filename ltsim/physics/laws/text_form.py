@@ -43,7 +43,7 @@ PHRASE_BY_COVARIATE = {
 }
 """Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) an error may have separate amounts."""
+"""Names of the covariates for whose values (such as stations) an error may have separate values."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -88,8 +88,8 @@ REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Templates of the text form of a regressor by kind, function and constant (None stands for all). `x` is a covariate,
-`k` the constant, `value` the constant or a period with its unit."""
+"""Templates of the text of a function of covariates by kind, function and constant (None stands for all). `x` is a
+covariate, `k` the constant, `value` the constant or a period with its unit."""
 UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
     "fades": "time",
@@ -120,7 +120,7 @@ REGION_PHRASE_BY_REGRESSOR = {
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Words before the text form of a region of the hall, by the kind and the function of the regressor."""
+"""Words before the text form of a region of the hall, by the kind and the name of the function."""
 
 
 def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
@@ -239,9 +239,9 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of its response (the changed quantity) and the text form of its regressor.
+    """Error law from the name of the changed quantity and the text of the function of covariates that it follows.
 
-    The law acts at the given stations and targets, or at all. Raises ModelError for an unknown response or text form.
+    The law acts at the given stations and targets, or at all. Raises ModelError for an unknown name or text.
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(
