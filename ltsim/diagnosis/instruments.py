@@ -294,7 +294,7 @@ def _log_evidence_of_change(
 
 
 TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the true variance of a constant between calibrations, divided by its sample variance in a few of them."""
+"""Ratios of the true variance of an instrument constant between calibrations to that in a sample of calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
 """Degrees of freedom that the sample variances of all instrument constants add to the sample variance of one constant
 (Smyth 2004). Such standard deviations mostly agree within a factor of two."""

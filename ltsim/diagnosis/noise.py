@@ -362,9 +362,9 @@ class NoiseHypothesisSet:
     ) -> float:
         """Log evidence, with prior, of the changed noise `change` with a size for each group, for one recording.
 
-        For the noise level of a small network, the difference of the exact restricted likelihood from its diagonal form
-        is added, at the expected factors. The factors of other hypotheses are averages over noisy and other groups, at
-        which this difference means nothing.
+        For the noise level of a small network, the difference of the exact restricted likelihood from that for
+        independent readings is added. For other changes of the noise this difference has no meaning: their factors are
+        averages.
         """
         value = float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
         if self.parameter_basis is None or not isinstance(change, RecordingNoiseLevel):

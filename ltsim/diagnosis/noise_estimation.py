@@ -131,8 +131,8 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
 
     The hypothesis changes the standard deviations `nominal_sigma` (n, 3) of the readings of n pointings. The estimates
     are posterior means and standard deviations with a log-uniform prior of the variance factor, because the likelihood
-    of a variance is skew. The posteriors of several sizes are independent (`reml_gain_function`). A size on which no
-    reading depends is 0 with an infinite standard deviation.
+    of a variance is skew. The posteriors of several sizes are independent, because each reading depends on one size
+    only. A size on which no reading depends is 0 with an infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.plausible_sizes
     if isinstance(effect, CentringVariance):

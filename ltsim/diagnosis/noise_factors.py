@@ -39,7 +39,8 @@ class VariancePatternGroup:
     """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
     size); all equations for sparse patterns."""
     added_variance: Floats32 | sp.csr_array
-    """Added variance (p, r) of r observations by p patterns per unit of the size, divided by the declared variance."""
+    """Added variance (p, r) of r observations per unit of the size, for p patterns of noise, divided by the declared
+    variance."""
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Iterator over batches: indices (b,) of b noise levels, and log likelihood ratios (b, trials) by recording.

@@ -151,7 +151,7 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
 
     @property
     def _common_groups(self) -> list[tuple[Floats, RecordingNoiseLevel]]:
-        """Indicators (g,) of the observables of each of `NOISY_OBSERVABLE_SETS`, and noise level of this set."""
+        """Indicators (g,) of the observables of each set in `NOISY_OBSERVABLE_SETS`, and noise level of the set."""
         flags = [np.isin(OBSERVABLES, names).astype(np.float64) for names in NOISY_OBSERVABLE_SETS]
         return [(f, replace(self, group_indicators=sp.csr_array(f[None, :] @ self.group_indicators))) for f in flags]
 

@@ -149,7 +149,7 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the Schur complement's chain with a column of a set; sets are along `axis`."""
+        """First block of the Schur complement's chain with a column of each set; sets of `columns` are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )

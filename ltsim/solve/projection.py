@@ -186,7 +186,10 @@ class FactorResidualProjector:
         return residual
 
     def leverage(self) -> Floats:
-        """Diagonal (m,) of the hat matrix, including the part of the `removed_columns`."""
+        """Diagonal (m,) of the hat matrix, including the part of the removed columns.
+
+        The projector also removes components along the removed columns (orthonormal vectors).
+        """
         return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
@@ -202,9 +205,10 @@ class FactorResidualProjector:
             yield np.linalg.eigh(hat)
 
     def _hat_matrix_blocks(self, row_groups: Sequence[Ints]) -> Iterator[Floats]:
-        """Submatrices (f, f) of the hat matrix, with the part of `removed_columns`, for each group of f rows.
+        """Submatrices (f, f) of the hat matrix, with the part of the removed columns, for each group of f rows.
 
-        The cost depends on the number of unknowns in these rows, not on the number of all unknowns.
+        The cost depends on the number of unknowns in these rows, not on the number of all unknowns. The projector also
+        removes components along the removed columns (orthonormal vectors).
         """
         edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         hats = self.factor.covariances_of_functions(self.design[np.concatenate(row_groups)], edges)

@@ -52,8 +52,8 @@ class BearingWobble(Effect):
     """
 
     kind: BearingMotionKind = "tilt"
-    """Kind of error motion of the bearing : `tilt` or `radial` (run-out) of the standing axis, or `transit` (tilt of
-    the transit axis)."""
+    """Kind of error motion of the bearing: `tilt` or `radial` (run-out) of the standing axis, or `transit` (tilt of the
+    transit axis)."""
     order: int = 2
     """Number of periods of the error motion per turn of the axis; negative if it rotates against the axis."""
 

@@ -64,7 +64,7 @@ class GeometricErrorModel:
         return tuple(p.name for p in self.parameters)
 
     def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names of the p parameters of each of I instruments, I p in number; ``beam-tilt@NAME`` for several ones."""
+        """Names of the p parameters of each of I instruments, I p in number; ``beam-tilt@NAME`` if I > 1."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
