@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
 N_CROSS_VALIDATION_FOLDS = 5
-"""Number of folds of the cross-validation, a usual value; each search uses 80 % of the readings."""
+"""Number of folds of the cross-validation, a usual value; each search for effects uses 80 % of the readings."""
 
 
 class HeldOutErrors(NamedTuple):
@@ -59,8 +59,6 @@ class HeldOutErrors(NamedTuple):
 def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher | None = None) -> HeldOutErrors:
     """Prediction errors of held-out readings by 5-fold cross-validation.
 
-    The residual space contains the whitened equations, projected off the unknowns.
-
     Parameters
     ----------
     space : ResidualSpace
@@ -69,7 +67,7 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
-        Search on the same readings. Without a search, `rms_with_model` of the result is None.
+        Search for effects in the same readings. Without a search, `rms_with_model` of the result is None.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
     groups, pointing = random_fold_row_indices(space, seed), np.nonzero(space.is_used_reading)[0]

@@ -42,9 +42,8 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
 
     The smallest detectable size of an effect is the median over the stations and targets where it may act. An effect
     with several parameters is reported with the parameter that has the smallest ratio of the detectable to the
-    plausible size. `space` is the residual space of the adjustment, and `catalogue_designs` contain all effects of the
-    catalogue at all stations and targets. The residual space contains the whitened equations, projected off the
-    unknowns.
+    plausible size. `space` has the whitened equations of the adjustment, projected off its unknowns, and
+    `catalogue_designs` contain all effects of the catalogue at all stations and targets.
     """
     detectable, undetectable = [], []
     for effects in catalogue_designs.effects_grouped_by_family():

@@ -270,8 +270,8 @@ MAX_AVERAGED_HYPOTHESES = 12
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
 """Number of hypotheses of each kind (catalogue effects, hypotheses of other noise than declared, and empirical laws,
 which describe errors as functions of covariates) whose evidence is computed without approximation, to limit the
-computing time. They are those with the largest approximate log evidence. A screening returns the same number of laws
-for each combination of stations and targets."""
+computing time. They are those with the largest approximate log evidence. The approximate evaluation returns the same
+number of laws for each combination of stations and targets."""
 MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
 """Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
 computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and

@@ -53,8 +53,8 @@ def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[flo
 def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    `space` is the residual space of an adjustment without these centring errors. `chi2_drop` of the result is twice the
-    increase of the log evidence. The residual space contains the whitened equations, projected off the unknowns.
+    `space` has the whitened equations of an adjustment without these centring errors, projected off its unknowns.
+    `chi2_drop` of the result is twice the increase of the log evidence.
     """
     effect = hypothesis.effect
     assert isinstance(effect, CentringVariance)

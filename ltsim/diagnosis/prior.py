@@ -60,9 +60,9 @@ PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
 changes. An unknown error mostly affects only a reading. If all targets seem to move, it is more probable that the
 stands move."""
 PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probability of each kind of quantity (response (changed quantity)) that an empirical law (error as a function
-of covariates) changes if it acts at some targets only. Mostly the target itself changes, because an error of the
-instrument does not depend on the target."""
+"""Prior probability of each kind of quantity that an empirical law (error as a function of covariates) changes if it
+acts at some targets only. Mostly the target itself changes, because an error of the instrument does not depend on the
+target."""
 PRIOR_WEIGHT_BY_LAW_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior weights of the functional forms that an empirical law (error as a function of covariates) may have. The weights
 are divided by their sum over the forms that are possible for the law. The most probable forms are a curve and a

@@ -105,8 +105,8 @@ CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a diagnosis tries, typical of detectors, instruments, stands, walls and floors."""
 MAX_SEPARATE_AMOUNTS = 12
-"""Largest number of set-ups, instruments or targets with separate values in an error law (error as a function of
-covariates) (more would fit any errors), and largest number of times at which a diagnosis tries a step."""
+"""Largest number of set-ups, instruments or targets with separate values in an error law (more would fit any errors),
+and largest number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
 """Largest number of targets for which a diagnosis tries errors with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
