@@ -186,7 +186,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of groups R of linear functions of the unknowns, with the normal matrix N."""
+        """Covariances R N^-1 R' of groups R of functions, limited by `group_boundaries`; N is the normal matrix."""
         function_rows = scale_columns(function_rows, self.column_scales)
         back = sp.csr_array(function_rows[:, self._n_retained :])
         reduced = sp.csr_array(function_rows[:, : self._n_retained] - back @ self._elimination_coefficients.T)

@@ -305,8 +305,8 @@ MIRROR_PARAMETERS: tuple[tuple[str, SpecifiedQuantity, HarmonicBasis | None, str
     ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic of the mirror's angle
-(half the raw elevation), description. One without harmonic is the error with its name in `STEERING_MIRROR_CHAIN`."""
+"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic of the mirror's angle (half
+the raw elevation), description. Without harmonic, the chain error of that name is changed (`STEERING_MIRROR_CHAIN`)."""
 
 
 def steering_mirror_construction() -> GeometricErrorModel:

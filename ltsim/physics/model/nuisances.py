@@ -90,7 +90,8 @@ class CentringErrors(TargetDisplacement):
     displacement_sigma: float
     """Standard deviation [m] of each component of a displacement."""
     occupation_indices: Ints
-    """Index (n,) of the occupation of each of n pointings; -1 for a pointing without displacement."""
+    """Index (n,) of the occupation (placement of a reflector) of each of n pointings; -1 for a pointing without
+    displacement."""
 
     @property
     def name(self) -> str:
