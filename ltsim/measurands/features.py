@@ -38,7 +38,7 @@ class FittedFeature:
     """Radius (...) [m] of a circle, sphere or cylinder; NaN for a line and a plane."""
     deviations: Floats
     """Signed orthogonal distance of each point from the feature, shape (..., points) [m]; unsigned for a line. For a
-    circle it is the radial or the axial deviation, whichever is larger."""
+    circle the deviation is the radial or the axial one, whichever is larger."""
 
 
 MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}

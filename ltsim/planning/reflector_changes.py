@@ -42,14 +42,14 @@ class ReflectorChangeEntry(Entry):
     position_mm: Vector | None = None
     """Coordinates of the new position [mm] in the hall frame; null for a removal."""
     target_rms_decrease_um: Finite
-    """Decrease by the change of the weighted root mean square point error [um] of all reflectors except the changed one
-    (inner constraints); negative for an increase."""
+    """Decrease [um], caused by the change, of the weighted root mean square point error of all reflectors except the
+    changed one (datum: inner constraints); negative for an increase."""
     objective_ratio: Finite
-    """Objective after the change divided by that of the plan; below 1 is better. If only targets have a weight in the
-    goal, it is the weighted point error of all other targets after the change divided by that before."""
+    """Objective after the change divided by the objective of the plan; below 1 is better. If only targets have a weight
+    in the goal, weighted point error of all other targets after the change divided by that before."""
     most_affected_parameter: str = ""
     """Instrument parameter (or target, if only targets have a weight in the goal) whose standard deviation the change
-    reduces most. For a removal, the one whose standard deviation rises most."""
+    reduces most. For a removal, the parameter or target whose standard deviation rises most."""
     most_affected_ratio: Finite = 1.0
     """Standard deviation of `most_affected_parameter` after the change, divided by that before; below 1 is better."""
 

@@ -29,10 +29,10 @@ def with_station_poses_on_site(
 ) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    `adjustment` is that of the network, with the identified causes of its misfit in the model. The axes follow from the
-    targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such targets the nominal
-    positions of the stations must be in these axes, and the recording is returned unchanged. `search_space` is that of
-    the plan, `site_name` the name of the plan in errors.
+    `adjustment` is the network adjustment whose model contains the identified causes of a misfit. The axes are
+    determined by the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such targets
+    the nominal positions of the stations must be in these axes, and the recording is returned unchanged. `search_space`
+    is that of the plan, `site_name` the name of the plan in errors.
 
     Raises
     ------

@@ -25,7 +25,7 @@ class StationPlacement:
     """Candidate positions of stations, together with fixed stations, and choice of positions for a layout."""
 
     candidate_positions: Floats
-    """Coordinates (N, 3) [m] of N candidate positions; their indices denote them elsewhere."""
+    """Coordinates (N, 3) [m] of the N candidate positions."""
     is_visible: Bools
     """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
     min_spacing: float
@@ -54,9 +54,9 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, for stations at these positions.
+        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`.
 
-        `place_indices` are indices of candidate positions; the sights of fixed stations are counted.
+        Stations are at the candidate positions with the indices `place_indices`, in addition to the fixed stations.
         """
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)

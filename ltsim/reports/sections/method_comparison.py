@@ -1,4 +1,4 @@
-"""Comparison of the methods of a campaign on the same random draws: sentence and table of paired differences."""
+"""Comparison of the calibration methods of a campaign on the same random draws: sentence and paired differences."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ per method."""
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """Comparison of methods by paired differences of errors: each other method minus the best method.
+    """Comparison of calibration methods by paired differences of errors: each other method minus the best method.
 
     The best method has the smallest mean error.
     """
 
     statistic: str
-    """Column of the error by which methods are compared."""
+    """Name of the result column with the error by which methods are compared."""
     best_method: str
     """Method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
@@ -102,8 +102,8 @@ class MethodComparison:
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
     """Text on the combinations of factor levels in which the best method differs significantly from another method.
 
-    It gives the range of the significant differences of each sign, and the number of combinations without a significant
-    difference.
+    The text contains the range of the significant differences of each sign, and the number of combinations without a
+    significant difference.
     """
     smaller = [entry.difference for entry in differences if entry.low > 0]
     larger = [-entry.difference for entry in differences if entry.high < 0]

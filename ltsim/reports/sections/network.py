@@ -80,7 +80,7 @@ def networks_without_and_with_parameters(recording: Recording) -> tuple[Identifi
 def adjustments_without_and_with_parameters(recording: Recording | None) -> AdjustmentsWithoutAndWithParameters | None:
     """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted.
 
-    The identified causes of a misfit are in the models only if no network can be adjusted without them.
+    The models contain the identified causes of a misfit only if the network cannot be adjusted without them.
     """
     if recording is None:
         return None
@@ -154,8 +154,8 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a hall with its interactive page.
 
-    It is replaced by a note if the packages for 3D views are missing. The same applies to more than
-    `MAX_NETWORK_SETUPS` stations, because stations are drawn one by one.
+    The result is a note if the packages for 3D views are missing, or if there are more than `MAX_NETWORK_SETUPS`
+    stations, because stations are drawn one by one.
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
