@@ -129,7 +129,11 @@ class BatchNetwork(NominalNetwork):
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
+
+        `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus
+        true reference lengths.
+        """
         nowhere = np.zeros((self.block_end_indices[-1], reading_deviations.shape[2]))
         other_residuals = self._non_reading_residuals(nowhere, length_errors)
         if self._factorisation.sparse_design is not None:

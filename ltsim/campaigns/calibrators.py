@@ -357,7 +357,11 @@ class StackedNetwork(BatchNetwork):
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
+
+        `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus
+        true reference lengths.
+        """
         x, predicted = (
             np.zeros((self.block_end_indices[-1], reading_deviations.shape[2])),
             np.zeros_like(reading_deviations),

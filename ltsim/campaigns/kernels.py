@@ -295,9 +295,11 @@ def network_gradient(
 def _station_to_target(
     station_to_target: Floats, rotation: Floats, pose: Floats, point: Floats, predicted: Floats, work_rows: Floats
 ) -> None:
-    """Vector from station to target in the network frame, and its difference from the measured vector.
+    """Vector from station to target, and its difference from the point `predicted` that the predicted readings give.
 
-    They are written to rows 0 to 2 and 3 to 5 of `work_rows`. A loop over few rows is compiled to vector instructions.
+    The vector [m] is written to rows 0 to 2 of `work_rows` in the network frame, the difference to rows 3 to 5 in the
+    instrument frame. `pose` (6, trials) and `point` (3, trials) are unknowns minus nominal values, `station_to_target`
+    (3,) and `rotation` (3, 3) nominal values. Few rows are compiled to vector instructions.
     """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -322,18 +324,14 @@ def _station_to_target(
 
 @compile_function
 def _target_gradient(
-    point_derivatives: Floats,
-    weight: Floats,
-    work_rows: Floats,
-    observed: Floats,
-    predicted: Floats,
-    residual: Floats,
-    point_grad: Floats,
-    cost: Floats,
-) -> None:
+    point_derivatives: Floats, weight: Floats, work_rows: Floats, observed: Floats, predicted: Floats,
+    residual: Floats, point_grad: Floats, cost: Floats
+) -> None:  # fmt: skip
     """Negative gradient by the target, from one pointing of each trial, written to `point_grad` (3, trials).
 
     Whitened residuals are written to `residual` (3, trials), and their squares are added to `cost` (trials,).
+    `work_rows` is the result of `_station_to_target`; `observed` and `predicted` (3, trials) are minus nominal
+    readings.
     """
     j00, j01, j02 = point_derivatives[0, 0], point_derivatives[0, 1], point_derivatives[0, 2]
     j10, j11, j12 = point_derivatives[1, 0], point_derivatives[1, 1], point_derivatives[1, 2]
@@ -366,7 +364,10 @@ def _target_gradient(
 def _add_network_gradients(
     rotation: Floats, pose: Floats, work_rows: Floats, grad: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of its target and station."""
+    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of its target and station.
+
+    `work_rows` is the result of `_station_to_target` for this pointing, and `pose` (6, trials) the pose minus nominal.
+    """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]

@@ -99,7 +99,10 @@ class Recovery(ResultFile):
 
     @classmethod
     def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
-        """Result of a recovery check from its trials."""
+        """Result of a recovery check from its trials.
+
+        `seed` is the seed of the trials. With `allow_unchecked` the check may pass although parameters are unchecked.
+        """
         checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),

@@ -222,6 +222,8 @@ def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
     """Check that `trial_values` (trials,), whose expectation is one, have a mean near one.
 
+    `subject` and `statistic` say in the name of the check what the values describe.
+
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
     values that are all too large widen them. `alpha` is the false-alarm rate.
     """

@@ -131,7 +131,9 @@ class RecoverySettings:
 def run_recovery_trials(
     scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[TrialScore | FailedTrial, None, None]:
-    """Score or failure of each trial, in the order of the trials, identical for any number of processes.
+    """Score or failure of each of a number of `trials` drawn with `seed`, in the order of the trials.
+
+    The result does not depend on the number of processes `jobs`.
 
     InputError is raised if the calibrator estimates a parameter that the scenario does not simulate.
     """

@@ -73,7 +73,11 @@ def _parameter_column(name: str, unit: str, group: StatisticGroup, description: 
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
-    """Columns of a disagreement of the stations: mean and maximum, before and after calibration, and reduction."""
+    """Columns of a disagreement of the stations: mean and maximum, before and after calibration, and reduction.
+
+    `criterion_kind` (`distance` or `coordinate`) begins the column names, `description` is the meaning of the
+    disagreement.
+    """
     meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
@@ -85,7 +89,10 @@ def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
-    """Columns of a point error [um], from readings uncorrected, corrected by estimates, or by true parameters."""
+    """Columns of a point error [um], from readings uncorrected, corrected by estimates, or by true parameters.
+
+    `prefix` begins the column names, `description` is the meaning of the error.
+    """
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",

@@ -225,7 +225,7 @@ class TrueNetwork:
         )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Batch of `n_trials` drawn trials; the number of its first trial is `batch_number` times `n_trials`."""
+        """Batch of `n_trials` trials drawn with `seed`; the number of the first is `batch_number` times `n_trials`."""
         return self.draw_trials(StandardNormalSource(seed, n_trials * batch_number + np.arange(n_trials)))
 
     def draw_trials(
@@ -325,9 +325,9 @@ def make_true_network(
 ) -> TrueNetwork:
     """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
-    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_network`
-    is another geometry of the same scenario; its declarations are used if the same targets are visible.
-    `planned_layout` are the planned poses and targets of the scenario; None if they are not computed yet.
+    `seed` and `key` determine the random draws of the geometry; without `key` they are those of `simulate`.
+    `reference_network` is another geometry of the same scenario; its declarations are used if the same targets are
+    visible. `planned_layout` are the planned poses and targets of the scenario; None if they are not computed yet.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:

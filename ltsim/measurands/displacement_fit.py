@@ -53,7 +53,7 @@ class WhitenedDifferences:
         return coordinate_indices(points, self.n_axes)
 
     def blocks(self, columns: Floats) -> Floats:
-        """Copy of the array (m, N axes) as one block for each point, shape (N, axes, m)."""
+        """Copy of the array `columns` (m, N axes) as one block for each of N points, shape (N, axes, m)."""
         return columns.T.reshape(-1, self.n_axes, len(columns))
 
     def fit(self, moved: Sequence[int]) -> "DisplacementFit":

@@ -119,7 +119,7 @@ def run_searches(
             store_survey(survey, value)
 
     def callbacks_of_task(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
-        """Callbacks of a search in this process: for its finished fraction, and for each better layout."""
+        """Callbacks of search `task_number` in this process: for its finished fraction, and for each better layout."""
         site = problem.search_space(tasks[task_number])
         return (
             lambda part: report_progress((finished + part) / len(tasks)),

@@ -195,7 +195,10 @@ class _ChangeEvaluator:
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
         def record_change(kind: ChangeKind, removed_index: int | None, places: Ints) -> None:
-            """Storage of the results of a removal, of all additions, or of the best move of a reflector."""
+            """Storage of the results of a removal, of all additions, or of the best move of a reflector.
+
+            `places` are the indices of the candidate positions for an addition or a move.
+            """
             other_places = chosen if removed_index is None else np.delete(chosen, removed_index)
             start_matrix = (
                 self.present_normal_matrix

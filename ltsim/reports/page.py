@@ -110,8 +110,8 @@ def document_of_folder(
 ) -> Document:
     """Document of the page that reports the results in a folder.
 
-    `recording` is the recording of the results if it is elsewhere, and `about` has texts for the head of the page by
-    name.
+    `recording` is the recording of the results if it is elsewhere, `title` the title of the page if it is not the
+    default, and `about` has texts for the head of the page by name.
 
     Raises
     ------

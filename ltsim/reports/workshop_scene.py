@@ -147,7 +147,10 @@ class WorkshopScene(ValueEquality):
         return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
     def with_sights_coloured_by(self, quantity: str) -> WorkshopScene:
-        """Scene with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
+        """Scene with lines of sight coloured by incidence angle if `quantity` is 'incidence' and nests have normals.
+
+        Otherwise the scene is unchanged; the colours of a new scene show residuals, if there are any.
+        """
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 

@@ -204,7 +204,10 @@ class Injector:
         )
 
     def added_noise_sigma(self, effect: NoiseEffect, parameter_values: Floats) -> Floats:
-        """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3) [m, rad, rad]."""
+        """Standard deviation (pointings, 3) [m, rad, rad] of the noise that an effect adds to the readings.
+
+        `parameter_values` (parameters,) [SI] are the parameters of the effect.
+        """
         sigma = self.recording.reading_sigmas()
         added = effect.variance(self.residual_space.sightings, sigma, parameter_values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:

@@ -59,10 +59,10 @@ def make_measurement_geometry(
 ) -> MeasurementGeometry:
     """Measurement geometry of a scenario: drawn true positions, and pointings to the visible targets in order.
 
-    `plan` are the planned poses and targets of the scenario; None if they are not computed yet. `stream_key` selects
-    the random draws of the positions. InputError is raised if a station sees no target, a CAD file is damaged, or an
-    effect does not exist. It is also raised if a nest without a declared normal holds an SMR whose radius differs from
-    the reference radius.
+    `plan` are the planned poses and targets of the scenario; None if they are not computed yet. `seed` and `stream_key`
+    determine the random draws of the positions. InputError is raised if a station sees no target, a CAD file is
+    damaged, or an effect does not exist. It is also raised if a nest without a declared normal holds an SMR whose
+    radius differs from the reference radius.
     """
     layout = draw_true_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
@@ -87,7 +87,7 @@ def draw_true_layout(
     """True poses of stations and positions of targets: the plan with random deviations from the table `[placing]`.
 
     The gauge (reflectors at known distances) is displaced as a rigid body. `plan` are the planned poses and targets of
-    the scenario; None if they are not computed yet. Different `stream_key` give different random deviations.
+    the scenario; None if they are not computed yet. `seed` and `stream_key` determine the deviations.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()

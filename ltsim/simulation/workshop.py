@@ -158,7 +158,8 @@ def measure_points_by_cmm(
 
     The maximum permissible error of a length L is A + L / K. The part A is a random error with half of its variance at
     each end of the length. The part L / K is a scale error of each axis. A and K are `constant_um` and
-    `length_divisor_mm` of `measuring_machine`. `names` are the targets, `stream_key` is the key of the random draws.
+    `length_divisor_mm` of `measuring_machine`. `names` are the targets. `seed` and `stream_key` determine the random
+    errors.
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage_factor / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage_factor

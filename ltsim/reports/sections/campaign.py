@@ -163,7 +163,10 @@ def _summary_sentence(
 
 
 def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> str:
-    """Sentence on the combinations of factor levels (cells) with the smallest and the largest error of the targets."""
+    """Sentence on the combinations of factor levels (cells) with the smallest and the largest error of the targets.
+
+    `summaries` holds the statistics of each result column by its name.
+    """
     means = summaries.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
