@@ -66,7 +66,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @property
     def estimates_all_combinations(self) -> bool:
-        """True if even weakly determined combinations of parameters are estimated, as in equation 9 of the paper."""
+        """True if even weakly determined combinations of parameters are estimated (Sensors 2021, 21, 7479, eq. 9)."""
         return self.method.startswith("equation-9")
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Calibrators of the methods in a campaign file, for trials in one network geometry and in separate geometries.
+"""Calibrators for the calibration methods of a campaign, for trials with one network geometry or separate ones.
 
 Trials with separate geometries whose stations see the same targets form a stack. The last axis of the geometry arrays
 of a stack is the trial, as for all other arrays of a campaign. Exact readings, residuals, gradients, points and
@@ -333,7 +333,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, trials) of readings by reflectors with a bench test; None without any."""
+        """Expected change (pointings, 3, trials) [m, rad, rad] of readings by bench-tested reflectors, or None."""
         shifts = [shift for part in self.trial_networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 

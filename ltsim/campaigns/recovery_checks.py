@@ -68,7 +68,7 @@ class RecoveryCheck(Entry):
         return cls(subject=subject, statistic=statistic, value=value, passed=is_passed, **limits)
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
-        """Check of the same value with the limits `lower_limit` and `upper_limit`."""
+        """Copy of this check with the limits `lower_limit` and `upper_limit`."""
         return self.from_value(
             self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
         )

@@ -52,7 +52,7 @@ class TrialScore(ValueEquality):
     parameter_units: tuple[str, ...]
     estimates: Floats
     declared_sigmas: Floats
-    """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
+    """Standard deviations that the calibrator declares, (parameters,); NaN if it declares none."""
     true_values: Floats
     prior_independent_z_scores: Floats
     """Z-scores corrected for the influence of the prior of the parameters, (parameters,): errors minus their expected

@@ -341,7 +341,7 @@ class TrialBatchRowBuilder:
         return values + share * (population.instrument_error_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
-        """Result columns of a method, in the groups that the key `statistics` of the campaign selects."""
+        """Result columns of a calibration method, in the groups that the key `statistics` of the campaign selects."""
         wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
         if self.contains_only_true_values:

@@ -73,7 +73,7 @@ class CalibrationMethod(TomlSection):
 
     @property
     def title(self) -> str:
-        """Name of the method in the results."""
+        """Name of the calibration method in the results."""
         return self.name or self.method
 
     @model_validator(mode="after")

@@ -28,7 +28,7 @@ class StatisticSummary(Entry):
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     column: str
     """Name of the result column, or of a ratio over all trials."""
     trials: int
@@ -61,7 +61,7 @@ class ZScoreSummary(Entry):
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     parameter: str
     """Name of the parameter."""
     trials: int
@@ -83,7 +83,7 @@ class SolverComparison(Entry):
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     trials: int
     """Number of trials of this cell (combination of factor levels) and method."""
     failed_trials: int

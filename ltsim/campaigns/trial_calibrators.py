@@ -127,7 +127,7 @@ class TrialCalibrator:
     effects: tuple[Effect, ...] = ()
     """Effects that are estimated in addition to the instrument parameters."""
     method: str = "network"
-    """Name of the method in the campaign file."""
+    """Name of the calibration method in the campaign file."""
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Results for the trials of a batch; those of trials whose index is not in `trial_indices` may be NaN."""
@@ -273,7 +273,10 @@ class BatchCalibrator(TrialCalibrator):
         )
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
-        """Results of the joint calibration of the trials of a batch, and mask (trials,) of the converged trials."""
+        """Results of the joint calibration of the trials of a batch, and mask (trials,) of the converged trials.
+
+        `trial_indices` are the trials for which slow computations, trial by trial, are permitted.
+        """
         network, fit = (
             self.batch_network,
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),

@@ -48,8 +48,9 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
     """Feature fitted to points (..., points, 3) [m] by least squares.
 
-    `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`. `start_feature` is an approximate feature; without it, a
-    cylinder is fitted from many initial directions. Raises ModelError if the points do not determine the feature.
+    `feature_kind` is `line`, `plane`, `circle`, `sphere` or `cylinder`. `start_feature` is an approximate feature;
+    without it, a cylinder is fitted from many initial directions. Raises ModelError if the points do not determine the
+    feature.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:

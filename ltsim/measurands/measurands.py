@@ -31,12 +31,12 @@ class TaskOutput:
 
 
 def _outputs_in_mm(*names: str) -> list[TaskOutput]:
-    """Outputs with these names and the unit mm."""
+    """Definitions (name, unit) of results of a task with the given names and the unit mm."""
     return [TaskOutput(name, "mm", MILLIMETRE) for name in names]
 
 
 def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
-    """Outputs with these names and the unit degree."""
+    """Definitions (name, unit) of results of a task with the given names and the unit degree."""
     return [TaskOutput(name, "deg", DEGREE) for name in names]
 
 

@@ -183,7 +183,7 @@ class _ChangeEvaluator:
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Indices of candidate positions without reflector that keep the spacing to the positions `used_places`."""
+        """Indices of candidate positions without reflector that are far enough from the positions `used_places`."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)

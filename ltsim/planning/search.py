@@ -43,7 +43,7 @@ class StationLayout:
     positions: Floats
     """Positions (S, 3) [m] of the S stations."""
     yaws: Floats
-    """Yaw (S,) [rad] of each of the S stations."""
+    """Yaw (direction of azimuth zero, counter-clockwise from x) of each of the S stations, (S,) [rad]."""
     objective_value: float
     """Objective, smaller is better; infinite for a layout that breaks a rule."""
 

@@ -65,7 +65,7 @@ class StationPlacement:
     def _best_place(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
-        """Index of the candidate position that sees most targets with too few sights; -1 if none keeps the spacing.
+        """Index of the candidate position that sees most targets with too few sights; -1 if all are too near.
 
         `used_places` are the indices of the positions of earlier stations. Sights beyond `wanted_sights` have a small
         weight. With `random_generator` only a few random positions are compared.
@@ -95,7 +95,7 @@ class StationPlacement:
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
     ) -> list[int]:
-        """Indices of the positions with the fewest missing sights; empty if no combination keeps the spacing.
+        """Indices of the positions with the fewest missing sights; empty if all are too near each other.
 
         The positions are the solution of a mixed-integer linear program; random costs make it different in each draw.
         """

@@ -329,7 +329,10 @@ def plan_verdict(
     loss_checks: Sequence[ToleranceCheck],
     broken_rules: Sequence[BrokenRule] = (),
 ) -> PlanVerdict:
-    """Verdict on a layout from its broken rules, the check of the complete layout, and the checks after losses."""
+    """Verdict on a layout from its broken rules, and from checks of its tolerances, complete and after each loss.
+
+    A loss is that of a station, or of a sight from a station to a point.
+    """
     asked = [
         loss for loss in loss_checks if tolerances.loss_to_withstand == ("sight" if loss.is_sight_loss else "station")
     ]
@@ -364,7 +367,7 @@ def plan_verdict(
 
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
-    """Sentences on the checks after losses: one for each lost station, and one for all lost sights together."""
+    """Sentences on the tolerances after losses: one for each lost station, one for the loss of any single sight."""
     texts = [
         f"Without {loss.lost_station_or_sight}: {loss.violations_clause}."
         for loss in loss_checks

@@ -278,7 +278,7 @@ def package_versions() -> list[tuple[str, str]]:
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
-    """Folder of the recording of the results in a folder, searched in and next to it; None without it."""
+    """Folder of the recording of the results in `result_folder`, or next to this folder; None if not found."""
     for candidate in (result_folder, result_folder / "recording", result_folder.parent / "recording", page_folder):
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()

@@ -227,7 +227,7 @@ def _height_levels(heights: Floats) -> Floats:
 
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the instrument's air sensors at the times `time` [s], by column name, rounded to 0.1."""
+    """Readings [deg C, hPa, %] of the air sensors at the times `time` [s], by column name, rounded to 0.1."""
     hall = scenario.workshop
     temperature = hall.temperature_c + hall.temperature_rise_c_per_h * time / 3600.0
     return {

@@ -19,7 +19,7 @@ from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 MARKER_LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker for its label, in the order in which they are tried, from the preferred direction."""
+"""Directions [rad] from a marker to its label, relative to the preferred direction, in the order of the trials."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
@@ -42,7 +42,7 @@ class MapLabel:
     is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
-    """Direction [rad] from the marker in which the label is placed if there is space."""
+    """Direction [rad], counter-clockwise from the x axis, from the marker to its label if there is space there."""
     is_vertical: bool = False
     """True for a vertical label, which is read from the right."""
 

@@ -41,7 +41,7 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
 
 
 def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figures of the coverage of intervals in the first cell of each method, and table of all z-scores.
+    """Figures of the coverage of intervals by calibration method, in the first cell, and table of all z-scores.
 
     A cell is a combination of factor levels.
     """

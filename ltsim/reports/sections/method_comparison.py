@@ -38,7 +38,7 @@ class MethodComparison:
     statistic: str
     """Name of the result column with the error by which methods are compared."""
     best_method: str
-    """Method with the smallest mean error over all cells (combinations of factor levels)."""
+    """Calibration method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
     """Description of each combination of factor levels (cell)."""
     differences_by_method: Mapping[str, Sequence[PairedDifference]]
@@ -48,7 +48,7 @@ class MethodComparison:
     def from_results(
         cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
     ) -> MethodComparison | None:
-        """Comparison of the methods of a campaign; None for one method, too many cells, or results without an error.
+        """Comparison of the methods of a campaign; None for one method, too many cells, or without an error column.
 
         A cell is a combination of factor levels.
         """
