@@ -102,7 +102,7 @@ def check_parameters_have_true_values(names: Sequence[str], true_names: Collecti
     if unknown:
         raise InputError(
             f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
-            "which the calibrator gives; recover with the same construction"
+            "which the calibrator estimates; recover with the same construction as in the scenario"
         )
 
 

@@ -255,7 +255,8 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
-            raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
+            needs = f"{option_text('same_instrument=True')} needs equal numbers"
+            raise ModelError(f"the recordings have different numbers of instruments; {needs}")
         common.append(PRIOR_SOURCE_NAME)
     if (
         earlier.gauge is not None

@@ -130,7 +130,7 @@ class TypeBEffect(TomlSection):
 
 
 class PartExpansion(TomlSection):
-    """Thermal expansion of the part from the reference temperature `reference_c` to its temperature `measured_c`."""
+    """Thermal expansion of the measured part, from the temperature `reference_c` to its temperature `measured_c`."""
 
     expansion_per_k: Finite
     """Coefficient of thermal expansion of the part [1/K]."""

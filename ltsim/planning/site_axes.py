@@ -88,8 +88,8 @@ def _site_transformation_from_points(
     if np.median(misfit) > MAX_MEDIAN_POINT_MISFIT:
         worst = int(np.argmax(misfit))
         raise InputError(
-            f"{site_name}: {len(names)} targets of the recording have names of its points, but do not fit them: "
-            f"{names[worst]} is {misfit[worst]:.2f} m off; name the plan of this hall, or rename its points"
+            f"{site_name}: {len(names)} targets of the recording have names of points of this plan, but other "
+            f"positions: {names[worst]} is {misfit[worst]:.2f} m off; give the plan of this hall, or rename the points"
         )
     return plan
 
