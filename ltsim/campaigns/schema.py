@@ -68,7 +68,7 @@ def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) ->
 
 
 def _parameter_column(name: str, unit: str, group: StatisticGroup, description: str) -> RowColumn:
-    """Column with one value per parameter; `name` is the prefix of the column names."""
+    """Columns with one value per parameter; `name` begins their names, `description` is their meaning."""
     return RowColumn(f"{name}:", description, unit=unit, group=group)
 
 

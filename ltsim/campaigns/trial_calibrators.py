@@ -50,7 +50,7 @@ class CalibratedBatch:
     (instruments, parameters, trials)."""
     target_errors: Floats
     """Adjusted minus true coordinates of the targets, (targets, 3, trials) [m], both in the same frame; NaN for a
-    method that does not adjust targets."""
+    calibration by distances, which adjusts no targets."""
     chi2: Floats
     """Chi-square of each trial, (trials,)."""
     status_indices: Ints

@@ -304,7 +304,7 @@ class LossCheckEntry(Entry):
     lost_station_or_sight: str
     """Name of the lost station, or description of the lost sight."""
     tolerances_met: bool
-    """True if all tolerances are met after the loss."""
+    """True if all tolerances are met after the loss of the station or sight."""
     max_tolerance_ratio: OptionalFloat = None
     """Largest ratio of point error to tolerance after the loss; null if a point is undetermined."""
     worst_point: str = ""
@@ -314,7 +314,7 @@ class LossCheckEntry(Entry):
 
     @classmethod
     def from_check(cls, check: ToleranceCheck) -> Self:
-        """Entry of the check of a layout after a loss."""
+        """Entry of the check of the tolerances after the loss of a station or a sight."""
         return cls(
             lost_station_or_sight=check.lost_station_or_sight,
             tolerances_met=check.meets_all_tolerances,

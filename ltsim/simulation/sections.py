@@ -67,7 +67,7 @@ class Obstacle(TomlSection):
     """Obstacle in the workshop: a CAD file, a box, or an upright cylinder, at a position in the hall."""
 
     name: str = ""
-    """Name in messages and pictures."""
+    """Name of the obstacle in messages and pictures."""
     file: str | None = None
     """Path of an STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None

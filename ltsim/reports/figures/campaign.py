@@ -215,7 +215,7 @@ def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str
 
 
 def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_number: int, *, is_joined: bool) -> None:
-    """Draw a line of means with intervals and band at `positions` on the x axis; `line_number` selects the colour."""
+    """Draw means with intervals and band at `positions` on the x axis, joined by a line if `is_joined`."""
     if not points:
         return
     order = np.argsort(positions, kind="stable")
