@@ -138,7 +138,7 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     """Figure of the means of a result column along a factor, one line per method; used by `CampaignResults.plot`."""
     if not along:
         names = " or ".join(f.name for f in results.factors)
-        raise ModelError(f"along is empty; give a factor of the campaign{f': {names}' if names else ' (it has none)'}")
+        raise ModelError(f"along is empty; give a factor of the campaign: {names}" if names else "no factor varies")
     axis = factor_axis_title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
