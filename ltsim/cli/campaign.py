@@ -257,8 +257,8 @@ class RecoverOptions(FunctionOptions):
         choice_option(
             "errors",
             ("drawn", "stated"),
-            "Instrument errors that are drawn from the prior, or given by the scenario; default stated if the "
-            "scenario gives any.",
+            "Instrument errors that are drawn from the prior distribution of the instrument parameters, or given by "
+            "the scenario; default stated if the scenario gives any.",
         ),
     ] = None
     seed: Annotated[

@@ -225,7 +225,8 @@ class CompareOptions(FunctionOptions):
         str | None,
         name_list_option(
             "stable",
-            "Names of points that are certain not to have moved; they are not tested. Default: determined by the test.",
+            "Names of points that are certain not to have moved; they are not tested. By default "
+            "the test determines which points are stable.",
         ),
         split_names,
     ] = None

@@ -311,7 +311,7 @@ def test_results_against_themselves_differ_by_nothing() -> None:
         ({"type_b": [{"effect": "station-weather", "sizes": {"x": 1.0}}]}, "x"),
         ({"task": [{"name": "a", "kind": "point", "targets": ["T99"]}]}, "T99"),
         ({"task": [{"name": "a", "kind": "point", "targets": ["T01"], "tolerances": {"q": {"upper": 1.0}}}]}, "q"),
-        ({"task": [{"name": "a", "kind": "pose", "targets": ["T01"]}]}, "nominal_mm of T01"),
+        ({"task": [{"name": "a", "kind": "pose", "targets": ["T01"]}]}, "should contain the coordinates of T01"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_a_sentence(change: dict[str, Any], message: str) -> None:
